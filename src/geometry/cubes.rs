@@ -1,0 +1,25 @@
+//! Sets of cubes: the difference between two of them, and the totals of one.
+
+use super::lattice::{Bounds, CubeId, Place};
+use super::measures::Measures;
+
+/// The difference between two sets of cubes: an id that is at the same place in both is in neither list.
+/// A moved cube is in both. Order: by id's first appearance.
+#[derive(Clone, PartialEq, Eq, Debug, Default)]
+pub struct Effect {
+    /// Cubes that go, each with the place it leaves.
+    pub deleted: Vec<(CubeId, Place)>,
+    /// Cubes that come.
+    pub inserted: Vec<(CubeId, Place)>,
+}
+
+/// The state of a scene's measures at one moment: a pure function of its set of cubes.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+pub struct Totals {
+    /// How many cubes, two at one place counted twice.
+    pub cubes: u64,
+    /// The measures of their union.
+    pub measures: Measures,
+    /// The box around them; none when there are none.
+    pub bounds: Option<Bounds>,
+}

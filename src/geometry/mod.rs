@@ -1,0 +1,20 @@
+//! What is measured: the lattice, cubes, octant masks, their weights, and the measures they add up to.
+//!
+//! Knows integers only. It must never know I/O, floats, async, serde, a grid, or who asks.
+//!
+//! ```text
+//!   Place + Edge ── a cube        8 octants around a lattice point ── OctantMask ── Weights
+//!                                 sum over points of weight * monomial ──────────── Measures
+//! ```
+
+mod cubes;
+mod lattice;
+mod measures;
+mod octants;
+mod weights;
+
+pub use cubes::{Effect, Totals};
+pub use lattice::{Bounds, COORDINATE_MAX, CUBES_MAX, CubeId, EDGE_MAX, Edge, InvalidCube, InvalidEdge, Place};
+pub use measures::{EdgeKind, Measures, VertexKind};
+pub use octants::OctantMask;
+pub use weights::{WEIGHTS, Weights};
