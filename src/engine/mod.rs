@@ -48,7 +48,10 @@ pub enum Rejected {
         asked: Place,
     },
     /// The scene would hold more than 2^31 cubes.
-    #[error("the scene would hold {cubes} cubes; the most is {}", crate::geometry::CUBES_MAX)]
+    #[error(
+        "the scene would hold {cubes} cubes; the most is {}",
+        crate::geometry::CUBES_MAX
+    )]
     TooManyCubes {
         /// How many it would hold.
         cubes: u64,
@@ -165,7 +168,11 @@ impl Engine {
             deleted: effect.deleted.len() as u64,
             unchanged: (ops.len() - effect.inserted.len() - effect.deleted.len()) as u64,
         };
-        Ok(Judged { effect, in_order, net })
+        Ok(Judged {
+            effect,
+            in_order,
+            net,
+        })
     }
     /// Applies an effect, whole or not at all: deletions first. The only door through which state changes.
     /// # Errors
@@ -188,7 +195,11 @@ impl Engine {
     }
     /// Up to `limit` cubes after the cursor (from the beginning without one), and the cursor of the last when more follow.
     /// A cube that is there during the whole listing is listed exactly once, whatever changes meanwhile.
-    pub fn page(&self, after: Option<Cursor>, limit: usize) -> (Vec<(CubeId, Place)>, Option<Cursor>) {
+    pub fn page(
+        &self,
+        after: Option<Cursor>,
+        limit: usize,
+    ) -> (Vec<(CubeId, Place)>, Option<Cursor>) {
         let mut rows: Vec<_> = self
             .cubes
             .iter()

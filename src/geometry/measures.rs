@@ -58,12 +58,22 @@ pub struct Measures {
 impl Measures {
     /// Adds a difference, as an insertion does.
     pub fn add(&mut self, difference: &Self) {
-        self.combine(difference, i128::wrapping_add, I256::wrapping_add, i64::wrapping_add);
+        self.combine(
+            difference,
+            i128::wrapping_add,
+            I256::wrapping_add,
+            i64::wrapping_add,
+        );
     }
 
     /// Retracts a difference, as a deletion does.
     pub fn retract(&mut self, difference: &Self) {
-        self.combine(difference, i128::wrapping_sub, I256::wrapping_sub, i64::wrapping_sub);
+        self.combine(
+            difference,
+            i128::wrapping_sub,
+            I256::wrapping_sub,
+            i64::wrapping_sub,
+        );
     }
 
     /// Field by field, modulo two to the width: sums may wrap on the way (local sums may not be small), the true result fits.
@@ -77,11 +87,14 @@ impl Measures {
         self.volume = wide(self.volume, other.volume);
         for axis in 0..3 {
             self.first_moments2[axis] = wide(self.first_moments2[axis], other.first_moments2[axis]);
-            self.second_moments3[axis] = widest(self.second_moments3[axis], other.second_moments3[axis]);
-            self.product_moments4[axis] = widest(self.product_moments4[axis], other.product_moments4[axis]);
+            self.second_moments3[axis] =
+                widest(self.second_moments3[axis], other.second_moments3[axis]);
+            self.product_moments4[axis] =
+                widest(self.product_moments4[axis], other.product_moments4[axis]);
             self.area_by_axis[axis] = wide(self.area_by_axis[axis], other.area_by_axis[axis]);
             for kind in 0..3 {
-                self.edge_length[axis][kind] = wide(self.edge_length[axis][kind], other.edge_length[axis][kind]);
+                self.edge_length[axis][kind] =
+                    wide(self.edge_length[axis][kind], other.edge_length[axis][kind]);
             }
         }
         self.euler8 = narrow(self.euler8, other.euler8);
@@ -97,7 +110,10 @@ impl Measures {
 
     /// Length of all edges of one kind. Units: steps.
     pub fn edge_length_of(&self, kind: EdgeKind) -> i128 {
-        self.edge_length.iter().map(|axis| axis[kind as usize]).sum()
+        self.edge_length
+            .iter()
+            .map(|axis| axis[kind as usize])
+            .sum()
     }
 
     /// Length of all edges, each counted once as a set of points. Units: steps.
@@ -107,7 +123,10 @@ impl Measures {
 
     /// Euler characteristic of the closed set: pieces minus tunnels plus cavities.
     pub fn euler_characteristic(&self) -> i64 {
-        debug_assert!(self.euler8 % 8 == 0, "the points of a closed set add up to whole cells");
+        debug_assert!(
+            self.euler8 % 8 == 0,
+            "the points of a closed set add up to whole cells"
+        );
         self.euler8 / 8
     }
 

@@ -14,7 +14,9 @@ mod octants;
 mod weights;
 
 pub use cubes::{Effect, Totals};
-pub use lattice::{Bounds, COORDINATE_MAX, CUBES_MAX, CubeId, EDGE_MAX, Edge, InvalidCube, InvalidEdge, Place};
+pub use lattice::{
+    Bounds, COORDINATE_MAX, CUBES_MAX, CubeId, EDGE_MAX, Edge, InvalidCube, InvalidEdge, Place,
+};
 pub use measures::{EdgeKind, Measures, VertexKind};
 pub use octants::OctantMask;
 pub use weights::{WEIGHTS, Weights};

@@ -156,7 +156,11 @@ const _: () = {
             let mut axis = 0;
             while axis < 3 {
                 assert!(weights.area[axis] == 0);
-                assert!(weights.edge[axis][0] == 0 && weights.edge[axis][1] == 0 && weights.edge[axis][2] == 0);
+                assert!(
+                    weights.edge[axis][0] == 0
+                        && weights.edge[axis][1] == 0
+                        && weights.edge[axis][2] == 0
+                );
                 axis += 1;
             }
         }

@@ -197,7 +197,12 @@ impl SceneLog {
         unimplemented!()
     }
     /// Begins a snapshot as of the newest seq. An unfinished one is dropped.
-    pub fn snapshot_begin(&mut self, at_ms: u64, totals: &Totals, next_id: u64) -> Result<(), LogError> {
+    pub fn snapshot_begin(
+        &mut self,
+        at_ms: u64,
+        totals: &Totals,
+        next_id: u64,
+    ) -> Result<(), LogError> {
         unimplemented!()
     }
     /// Adds some cubes (at most 65,536) to the snapshot under way; appends may come between.

@@ -315,7 +315,11 @@ impl Scene {
         unimplemented!()
     }
     /// The first published state at or after `seq`; None after `timeout`.
-    pub async fn wait_for(&self, seq: Seq, timeout: Duration) -> Result<Option<Published>, ServiceError> {
+    pub async fn wait_for(
+        &self,
+        seq: Seq,
+        timeout: Duration,
+    ) -> Result<Option<Published>, ServiceError> {
         unimplemented!()
     }
     /// A past state.
@@ -323,7 +327,12 @@ impl Scene {
         unimplemented!()
     }
     /// Rows of the history from `from` to `to`, at most `limit`.
-    pub async fn history(&self, from: Seq, to: Seq, limit: usize) -> Result<Vec<HistoryRow>, ServiceError> {
+    pub async fn history(
+        &self,
+        from: Seq,
+        to: Seq,
+        limit: usize,
+    ) -> Result<Vec<HistoryRow>, ServiceError> {
         unimplemented!()
     }
     /// Where a cube is.
@@ -343,7 +352,10 @@ impl Scene {
         unimplemented!()
     }
     /// Where a point lies.
-    pub async fn contains(&self, point: [i32; 3]) -> Result<(Seq, Side, Option<(CubeId, Place)>), ServiceError> {
+    pub async fn contains(
+        &self,
+        point: [i32; 3],
+    ) -> Result<(Seq, Side, Option<(CubeId, Place)>), ServiceError> {
         unimplemented!()
     }
     /// Recounts everything from the cubes alone, on another thread, and compares.
