@@ -1,1 +1,2 @@
+//! The command line of union3d.
 fn main() {}
