@@ -932,8 +932,8 @@ async fn a_name_that_comes_and_goes_never_mixes_its_lives() {
         }
         Err(_) => assert!(service.scenes().is_empty()),
     }
-    let trash = std::fs::read_dir(directory.path().join("data/trash")).unwrap();
-    assert_eq!(trash.count(), 0);
+    let directories = std::fs::read_dir(directory.path().join("data/scenes")).unwrap();
+    assert_eq!(directories.count(), service.scenes().len());
 }
 
 #[tokio::test]
@@ -1050,10 +1050,10 @@ async fn what_an_earlier_life_left_is_cleaned() {
     create(&service, "s").await;
     drop(service);
     let data = directory.path().join("data");
-    std::fs::create_dir_all(data.join("trash/old.1/deep")).unwrap();
+    std::fs::create_dir_all(data.join("scenes/.union3d-temporary-remove-old/deep")).unwrap();
     let service = start(directory.path());
     running(&service, "s");
-    assert!(!data.join("trash/old.1").exists());
+    assert!(!data.join("scenes/.union3d-temporary-remove-old").exists());
     assert_eq!(service.scenes().len(), 1);
 }
 

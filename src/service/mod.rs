@@ -13,6 +13,7 @@
 
 mod inbox;
 mod meters;
+mod offline;
 mod recover;
 mod registry;
 mod scene;
@@ -27,8 +28,12 @@ use crate::geometry::{CubeId, Place, Totals};
 use crate::log::LogError;
 pub use crate::log::{HistoryRow, Seq};
 pub use meters::describe_metrics;
+pub use offline::{Offline, OfflineAudit};
 pub use registry::Service;
 pub use scene::Scene;
+
+/// Most operations of one change: what one record of the log holds.
+pub const CHANGE_OPERATIONS_MAX: usize = crate::log::RECORD_CUBES_MAX;
 
 /// How the service runs. Everything has a default but the directory.
 #[derive(Clone, Debug)]
