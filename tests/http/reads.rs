@@ -109,17 +109,22 @@ async fn what_is_no_longer_kept_is_gone() {
     let scene = server.scene("s", 2).await;
     let path = format!("{scene}/mass-properties?at=1");
     let changes = format!("{scene}/changes?return=minimal");
-    // Old totals go when a snapshot makes their operations superfluous, which takes a long log.
-    const CUBES: usize = 50_000;
-    for round in 0_u64.. {
-        let ids: Vec<_> = (0..CUBES as u64)
-            .map(|id| (id + round).wrapping_mul(0x9e37_79b9_7f4a_7c15))
-            .collect();
+    // Old totals go when a snapshot makes their operations superfluous, which takes a long log: ids that do not compress.
+    const CUBES: i32 = 50_000;
+    let mut state = 1_u64;
+    for round in 0.. {
+        let mut random = || {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            state
+        };
+        let ids: Vec<_> = (0..CUBES).map(|_| random()).collect();
         let come = proto::Change {
             insert_id: ids.clone(),
-            x: vec![0; CUBES],
-            y: vec![0; CUBES],
-            z: vec![0; CUBES],
+            x: (0..CUBES).map(|id| 3 * id).collect(),
+            y: vec![0; ids.len()],
+            z: vec![0; ids.len()],
             ..proto::Change::default()
         };
         let go = proto::Change {
