@@ -273,7 +273,7 @@ async fn a_retry_with_the_same_key_after_a_crash_is_done_once() {
     for kill in 0..10_u64 {
         let post = |server: &Server, number: u64| {
             http.post(server.scene("/changes?return=minimal"))
-                .header("idempotency-key", format!("number {number}"))
+                .header("idempotency-key", format!("number-{number}"))
                 .json(&json!({"insert": [{"at": at(number)}, {"at": at(number + 1)}]}))
                 .send()
         };
@@ -290,7 +290,7 @@ async fn a_retry_with_the_same_key_after_a_crash_is_done_once() {
         server.ready(&http).await;
         let again: Value = post(&server, done).await.unwrap().json().await.unwrap();
         done += 1;
-        assert_eq!(again["seq"], json!(done));
+        assert_eq!(again["seq"], json!(done), "{again}");
         assert_eq!(
             again["assigned"],
             json!({"first": 2 * done - 1, "last": 2 * done})
