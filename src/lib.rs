@@ -3,3 +3,4 @@ pub mod engine;
 pub mod geometry;
 pub mod log;
 pub mod service;
+pub mod toolpath;
