@@ -1,0 +1,51 @@
+//! The subcommands: each a file with its arguments and a `run`.
+
+mod audit;
+mod demo;
+mod measure;
+mod mill;
+mod serve;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+/// What a subcommand ends with: an exit status, or what went wrong and what to do.
+pub(crate) type Outcome = Result<ExitCode, Box<dyn std::error::Error>>;
+
+/// Exact mass properties of the union of many cubes, current while cubes are inserted and deleted.
+#[derive(Debug, Parser)]
+#[command(version, about, propagate_version = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Run the server.
+    Serve(serve::Args),
+    /// Run a server and stream a bundled tool path into it.
+    Demo(demo::Args),
+    /// Turn G-code into the cubes that a cubic cutter sweeps, and measure their union.
+    Mill(mill::Args),
+    /// Measure the union of the cubes in a file, without a server.
+    Measure(measure::Args),
+    /// Check a data directory: every checksum, every total against a recount.
+    Audit(audit::Args),
+}
+
+/// Reads the arguments, runs the subcommand and reports its error, if any, as one line on standard error.
+pub(crate) fn main() -> ExitCode {
+    let outcome = match Cli::parse().command {
+        Command::Serve(args) => serve::run(args),
+        Command::Demo(args) => demo::run(args),
+        Command::Mill(args) => mill::run(args),
+        Command::Measure(args) => measure::run(args),
+        Command::Audit(args) => audit::run(args),
+    };
+    outcome.unwrap_or_else(|error| {
+        eprintln!("union3d: {error}");
+        ExitCode::FAILURE
+    })
+}
