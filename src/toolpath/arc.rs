@@ -7,8 +7,8 @@ use super::path::Arc;
 /// Start and end of an arc may lie this much nearer to or farther from its centre than each other without a word. Units: mm.
 pub(super) const RADIUS_DIFFERENCE_REPORTED: f64 = 0.02;
 
-/// From this difference on the words do not describe an arc. Units: mm. So do they when a quarter of the radius is missing.
-const RADIUS_DIFFERENCE_REFUSED: f64 = 0.5;
+/// A difference of more than this part of the radius (and reported) is no rounding: the words describe no arc.
+const RADIUS_DIFFERENCE_REFUSED: f64 = 0.1;
 
 /// Start and end nearer to each other than this are one point, so the arc is a full circle. Units: mm.
 const SAME_POINT: f64 = 1e-6;
@@ -46,7 +46,8 @@ pub(super) fn arc(
         }
         Centre::Radius(radius) => {
             let half = chord_length / 2.0;
-            if half - radius.abs() > RADIUS_DIFFERENCE_REPORTED {
+            let missing = half - radius.abs();
+            if missing > RADIUS_DIFFERENCE_REPORTED || missing > RADIUS_DIFFERENCE_REFUSED * half {
                 return Err(format!(
                     "radius R of {:.4} mm is too small: start and end are {chord_length:.4} mm apart, so it must be at least {half:.4} mm",
                     radius.abs()
@@ -73,8 +74,8 @@ pub(super) fn arc(
     if radius[0] < SAME_POINT {
         return Err("the centre of the arc is its start, so it has no radius".into());
     }
-    if difference > RADIUS_DIFFERENCE_REFUSED
-        || (difference > RADIUS_DIFFERENCE_REPORTED && difference > radius[0].max(radius[1]) / 4.0)
+    if difference > RADIUS_DIFFERENCE_REPORTED
+        && difference > RADIUS_DIFFERENCE_REFUSED * radius[0].max(radius[1])
     {
         return Err(format!(
             "no such arc: its start is {:.4} mm and its end {:.4} mm from its centre",

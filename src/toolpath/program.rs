@@ -281,8 +281,8 @@ fn meaning(tenths: u32) -> Meaning {
         50..=59 => {
             Meaning::Refused("splines are not supported; have them written as lines or arcs")
         }
-        80 | 90 | 150 | 400 | 490 | 500 | 640 | 610 | 611 | 690 | 960 | 970 | 980 | 990
-        | 281 | 301 => Meaning::Harmless,
+        80 | 90 | 150 | 400 | 490 | 500 | 640 | 610 | 611 | 690 | 960 | 970 | 980 | 990 | 281
+        | 301 => Meaning::Harmless,
         100 | 520 => Meaning::Refused("setting coordinate systems is not supported; G92 is"),
         160 => Meaning::Refused("polar coordinates are not supported"),
         170 => Meaning::Plane([0, 1]),
@@ -379,6 +379,12 @@ impl Step<'_> {
         }
         self.machine.phase = Phase::Running;
         let mut line = Line::new(block)?;
+        for code in &block.codes {
+            if is(*code, 'M', 970) || is(*code, 'M', 980) {
+                let what = format!("{code} is refused: subprograms are not supported");
+                return Err((code.column, what));
+            }
+        }
         let axis_words = self.modes(block, &mut line)?;
         self.rate(&mut line)?;
         if block.codes.iter().any(|code| is(*code, 'G', 40)) {
@@ -411,7 +417,8 @@ impl Step<'_> {
             AxisWords::DwellTime => {}
         }
         self.leftovers(block, &line)?;
-        self.miscellaneous(block)
+        self.miscellaneous(block);
+        Ok(())
     }
 
     /// Sets the modes the line asks for.
@@ -529,9 +536,7 @@ impl Step<'_> {
     /// The move, if there is one.
     fn motion(&mut self, block: &Block, line: &mut Line<'_>) -> Result<(), At> {
         let arc = matches!(self.machine.motion, Some(MotionWord::Arc { .. }));
-        let centred = CENTRES
-            .into_iter()
-            .any(|letter| line.get(letter).is_some());
+        let centred = CENTRES.into_iter().any(|letter| line.get(letter).is_some());
         if !(line.has_axes() || arc && centred) {
             return Ok(());
         }
@@ -675,15 +680,11 @@ impl Step<'_> {
         Ok(())
     }
 
-    fn miscellaneous(&mut self, block: &Block) -> Result<(), At> {
+    fn miscellaneous(&mut self, block: &Block) {
         for &code in block.codes.iter().filter(|code| code.letter == 'M') {
             match code.tenths {
                 20 | 300 | 990 => self.machine.phase = Phase::Ended,
                 60 => self.ignore("M6", "ignored: the same cutter is used for every tool"),
-                970 | 980 => {
-                    let what = format!("{code} is refused: subprograms are not supported");
-                    return Err((code.column, what));
-                }
                 // Stops, spindle, coolant, overrides, motors, extruder modes.
                 0 | 10 | 30..=50 | 70..=90 | 170 | 180 | 480..=530 | 600 | 820 | 830 | 840 => {}
                 _ => self.ignore(
@@ -692,7 +693,6 @@ impl Step<'_> {
                 ),
             }
         }
-        Ok(())
     }
 
     /// Reports a kind of thing where it first stands.
