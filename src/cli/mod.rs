@@ -1,9 +1,13 @@
 //! The subcommands: each a file with its arguments and a `run`.
 
 mod audit;
+mod client;
 mod demo;
+mod input;
 mod measure;
 mod mill;
+mod progress;
+mod report;
 mod serve;
 
 use std::process::ExitCode;

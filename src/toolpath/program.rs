@@ -608,7 +608,7 @@ impl Step<'_> {
             self.warn(
                 "uneven arc",
                 format!(
-                    "run with a radius that changes evenly: its start is {:.4} mm and its end {:.4} mm from its centre",
+                    "is run with a radius that changes evenly: its start is {:.4} mm and its end {:.4} mm from its centre",
                     arc.radius[0], arc.radius[1]
                 ),
             );
