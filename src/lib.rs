@@ -4,3 +4,4 @@ pub mod geometry;
 pub mod log;
 pub mod service;
 pub mod toolpath;
+pub mod wire;

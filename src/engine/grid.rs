@@ -117,9 +117,9 @@ impl Grid {
             .blocks
             .last_mut()
             .expect("a block was there or has just been pushed");
-        for axis in 0..3 {
-            block.corner[axis][lane] = corner[axis];
-            self.extents[axis].insert(key.0[axis], corner[axis]);
+        for (axis, coordinate) in corner.into_iter().enumerate() {
+            block.corner[axis][lane] = coordinate;
+            self.extents[axis].insert(key.0[axis], coordinate);
         }
         block.id[lane] = id.0;
         bin.len += 1;
@@ -143,8 +143,8 @@ impl Grid {
                 self.bins.shrink_to(self.bins.len() * 2);
             }
         }
-        for axis in 0..3 {
-            self.extents[axis].remove(key.0[axis], corner[axis]);
+        for (axis, coordinate) in corner.into_iter().enumerate() {
+            self.extents[axis].remove(key.0[axis], coordinate);
         }
         self.len -= 1;
         if self.len < self.review[0] {

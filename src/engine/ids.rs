@@ -65,9 +65,8 @@ impl IdTable {
         if (self.len + 1) * 5 > self.capacity * 4 {
             self.resize(self.capacity * 3 / 2);
         }
-        let slot = match self.find(mix(id)) {
-            Ok(_) => return false,
-            Err(slot) => slot,
+        let Err(slot) = self.find(mix(id)) else {
+            return false;
         };
         let Some(run) = self.slots[slot..].iter().position(Entry::is_empty) else {
             // The tail is full: a run of more than TAIL at the very end. A larger table spreads it.
@@ -180,12 +179,10 @@ impl IdTable {
 
 impl Entry {
     fn new(id: CubeId, place: Place) -> Self {
-        let [a, b, c, d, e, f, g, h] = id.0.to_le_bytes();
+        let half =
+            |bits: u64| u32::try_from(bits & u64::from(u32::MAX)).expect("32 bits were kept");
         Self {
-            id: [
-                u32::from_le_bytes([a, b, c, d]),
-                u32::from_le_bytes([e, f, g, h]),
-            ],
+            id: [half(id.0), half(id.0 >> 32)],
             corner: place.corner(),
         }
     }

@@ -369,9 +369,9 @@ impl Kernel {
     ) {
         let columns = (0..CELLS_MAX).fold(0, |bits, y| bits | any.row(y));
         let mut used = [u32::from(columns), 0, 0];
-        for index in 0..CELLS_MAX {
+        for (index, layer) in newly.iter().enumerate() {
             used[1] |= u32::from(any.row(index) != 0) << index;
-            used[2] |= u32::from(!newly[index].is_empty()) << index;
+            used[2] |= u32::from(!layer.is_empty()) << index;
         }
         let cells = points.grown();
         let mut span = cells;

@@ -1,0 +1,213 @@
+//! From a log to a running scene: the one way in, at start and after a failure.
+
+use std::time::Instant;
+
+use parking_lot::{Condvar, Mutex};
+
+use super::scene::{Feed, Scene};
+use super::writer::{Live, inject};
+use super::{FaultStep, Published, Seq, meters};
+use crate::engine::Engine;
+use crate::geometry::{CubeId, Edge, Effect, Totals};
+use crate::log::{Keep, Log, LogError, Replayed, SceneLog};
+
+/// Lets a few scenes at a time be replayed: each replay can use all cores, and memory is not counted twice.
+pub(super) struct Gate {
+    free: Mutex<usize>,
+    changed: Condvar,
+}
+
+/// A place behind the [`Gate`], given back when dropped.
+pub(super) struct Pass<'a>(&'a Gate);
+
+/// Why a scene does not run.
+#[derive(Debug)]
+pub(super) enum Halt {
+    /// The log does not work; it may later.
+    Log(LogError),
+    /// The end was announced meanwhile.
+    Ended,
+}
+
+/// The state that a replay rebuilds.
+struct Replay {
+    engine: Engine,
+    seq: Seq,
+    at_ms: u64,
+    next_id: u64,
+}
+
+impl Gate {
+    pub(super) fn new(places: usize) -> Self {
+        Self {
+            free: Mutex::new(places),
+            changed: Condvar::new(),
+        }
+    }
+
+    /// Waits for a place; none when `ended` says so first.
+    fn enter(&self, ended: impl Fn() -> bool) -> Option<Pass<'_>> {
+        let mut free = self.free.lock();
+        loop {
+            if ended() {
+                return None;
+            }
+            if *free > 0 {
+                *free -= 1;
+                return Some(Pass(self));
+            }
+            self.changed.wait(&mut free);
+        }
+    }
+
+    /// Makes those who wait look again whether they have ended.
+    pub(super) fn nudge(&self) {
+        // Under the lock, so that nobody is between its look and its wait.
+        let _free = self.free.lock();
+        self.changed.notify_all();
+    }
+}
+
+impl Drop for Pass<'_> {
+    fn drop(&mut self) {
+        *self.0.free.lock() += 1;
+        self.0.changed.notify_all();
+    }
+}
+
+impl From<LogError> for Halt {
+    fn from(error: LogError) -> Self {
+        Self::Log(error)
+    }
+}
+
+/// Opens the scene's log, proves that it takes writes, and replays it.
+pub(super) fn reopen(scene: &Scene) -> Result<Live, Halt> {
+    let ended = || scene.inbox.ended().is_some();
+    let _pass = scene.setup.gate.enter(ended).ok_or(Halt::Ended)?;
+    inject(scene, FaultStep::Open)?;
+    let (mut log, notices) = SceneLog::open(&scene.directory, keep(scene))?;
+    for notice in &notices {
+        tracing::warn!(scene = scene.name().as_str(), "{notice}");
+    }
+    scene.keep_notices(notices);
+    log.probe()?;
+    revive(scene, log)
+}
+
+/// Limits of what the scene's log keeps.
+pub(super) fn keep(scene: &Scene) -> Keep {
+    Keep {
+        history_changes_max: scene.setup.config.history_changes_max,
+        idempotency_keys_max: scene.setup.config.idempotency_keys_max,
+    }
+}
+
+/// Replays an open log.
+pub(super) fn revive(scene: &Scene, mut log: SceneLog) -> Result<Live, Halt> {
+    let start = Instant::now();
+    let header = log.header().clone();
+    let foreign = |detail: String| LogError::Foreign {
+        path: scene.directory.clone(),
+        detail,
+    };
+    let edge =
+        Edge::new(i64::from(header.edge_steps)).map_err(|invalid| foreign(invalid.to_string()))?;
+    if !scene.keep_header(&header) {
+        return Err(
+            foreign("another scene's files were put here while it was stopped".into()).into(),
+        );
+    }
+    let mut replay = Replay {
+        engine: Engine::new(edge),
+        seq: Seq(0),
+        at_ms: 0,
+        next_id: 1,
+    };
+    let mut ended = false;
+    let result = log.replay(
+        &mut |permille| scene.set_permille(permille),
+        &mut |replayed| {
+            ended = ended || scene.inbox.ended().is_some();
+            !ended && replay.visit(&replayed)
+        },
+    );
+    if ended {
+        return Err(Halt::Ended);
+    }
+    result?;
+    let history = log.history()?;
+    if replay.seq == Seq(0) {
+        replay.at_ms = history.at(Seq(0))?.map_or(0, |row| row.at_ms);
+    }
+    let published = Published {
+        seq: replay.seq,
+        at_ms: replay.at_ms,
+        totals: replay.engine.totals(),
+    };
+    meters::recovered(start.elapsed());
+    tracing::info!(
+        scene = scene.name().as_str(),
+        seq = replay.seq.0,
+        cubes = replay.engine.len(),
+        milliseconds = start.elapsed().as_millis(),
+        "recovered"
+    );
+    Ok(Live::new(
+        log,
+        replay.engine,
+        &published,
+        replay.next_id,
+        Feed::new(&published, history),
+    ))
+}
+
+/// The id after the greatest one inserted so far; 0 when there is none left.
+pub(super) fn next_id_after(next_id: u64, inserted: CubeId) -> u64 {
+    if next_id == 0 {
+        return 0;
+    }
+    match inserted.0.checked_add(1) {
+        Some(next) => next.max(next_id),
+        None => 0,
+    }
+}
+
+impl Replay {
+    /// Takes one step; false when it does not lead to the totals that were recorded.
+    fn visit(&mut self, replayed: &Replayed<'_>) -> bool {
+        match *replayed {
+            Replayed::Cubes(cubes) => self
+                .engine
+                .apply(&Effect {
+                    deleted: Vec::new(),
+                    inserted: cubes.to_vec(),
+                })
+                .is_ok(),
+            Replayed::SnapshotEnd {
+                seq,
+                at_ms,
+                totals,
+                next_id,
+            } => {
+                self.next_id = next_id;
+                self.arrive(seq, at_ms, totals)
+            }
+            Replayed::Change(record) => {
+                if record.seq.0 != self.seq.0 + 1 || self.engine.apply(&record.effect).is_err() {
+                    return false;
+                }
+                for &(id, _) in &record.effect.inserted {
+                    self.next_id = next_id_after(self.next_id, id);
+                }
+                self.arrive(record.seq, record.at_ms, &record.totals)
+            }
+        }
+    }
+
+    fn arrive(&mut self, seq: Seq, at_ms: u64, totals: &Totals) -> bool {
+        self.seq = seq;
+        self.at_ms = at_ms;
+        self.engine.totals() == *totals
+    }
+}
