@@ -1,9 +1,9 @@
 //! `union3d mill`: from a program to the mass properties of what the cutter covers, here and on a server.
 
 use std::collections::BTreeMap;
-use std::io::Write;
+use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
-use std::process::{Command, Output, Stdio};
+use std::process::{Child, Command, Output, Stdio};
 use std::sync::{Arc, Mutex};
 
 use axum::body::Bytes;
@@ -412,4 +412,119 @@ fn what_a_server_refuses_is_said() {
     to_server("localhost:7373", &["http://127.0.0.1:7373"]);
     to_server("https://127.0.0.1:7373", &["http://"]);
     to_server("7373", &["http://127.0.0.1:7373"]);
+}
+
+/// A server of its own, ended with the test.
+struct Server {
+    child: Child,
+    url: String,
+}
+
+impl Server {
+    fn start(data: &Path) -> Self {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_union3d"))
+            .args([
+                "serve",
+                "--http",
+                "127.0.0.1:0",
+                "--log-filter",
+                "error",
+                "--data",
+            ])
+            .arg(data)
+            .stdout(Stdio::piped())
+            .spawn()
+            .expect("the binary runs");
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().expect("piped"))
+            .read_line(&mut line)
+            .unwrap();
+        let url = line
+            .trim()
+            .strip_prefix("listening ")
+            .expect("the address")
+            .to_owned();
+        Self { child, url }
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        self.child.kill().expect("it is ours");
+        self.child.wait().expect("it ends");
+    }
+}
+
+#[test]
+fn a_server_measures_what_is_measured_here() {
+    let directory = tempfile::tempdir().unwrap();
+    let server = Server::start(&directory.path().join("data"));
+    let program = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/cli/demo.gcode");
+    let program = std::fs::read_to_string(program).unwrap();
+    let (here, _) = mill(&["--edge", "3"], &program);
+    let (mut there, _) = mill(
+        &["--edge", "3", "--server", &server.url, "--scene", "plate"],
+        &program,
+    );
+    assert_eq!(there["cubes"], here["cubes"]);
+    let properties = &mut there["mass_properties"];
+    assert_eq!(properties["scene"].take(), "plate");
+    assert!(properties["seq"].take().as_u64().unwrap() > 1);
+    assert_eq!(*properties, here["mass_properties"]);
+
+    // What the server lists measures the same again.
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    let listing = runtime.block_on(async {
+        let url = format!("{}/v1/scenes/plate/cubes", server.url);
+        let request = reqwest::Client::new()
+            .get(url)
+            .header("accept", "application/x-ndjson");
+        request.send().await.unwrap().text().await.unwrap()
+    });
+    let measured = command(&["measure", "-", "--edge", "3", "--json"], &listing);
+    let measured: Value = serde_json::from_slice(&measured.stdout).unwrap();
+    assert_eq!(measured, here["mass_properties"]);
+
+    // Again into the same scene: twice the cubes, one union.
+    let (twice, _) = mill(
+        &["--edge", "3", "--server", &server.url, "--scene", "plate"],
+        &program,
+    );
+    assert_eq!(
+        twice["mass_properties"]["exact"],
+        here["mass_properties"]["exact"]
+    );
+    assert_eq!(
+        twice["mass_properties"]["cubes"],
+        2 * here["cubes"].as_u64().unwrap()
+    );
+    check_refused(
+        &[
+            "-",
+            "--edge",
+            "2",
+            "--server",
+            &server.url,
+            "--scene",
+            "plate",
+        ],
+        "G21 G1 X1\n",
+        &[
+            "scene \"plate\" exists with edge 3",
+            "choose another --scene",
+        ],
+    );
+    check_refused(
+        &[
+            "-",
+            "--edge",
+            "2",
+            "--server",
+            &server.url,
+            "--scene",
+            "Not A Name",
+        ],
+        "G21 G1 X1\n",
+        &["Not A Name"],
+    );
 }

@@ -107,7 +107,7 @@ impl Client {
         this.reached = true;
         match answer {
             Ok(text) => {
-                let there = this.parse(&this.scene, &text)?;
+                let there = parse(&this.scene, &text)?;
                 compare(wanted, &there)?;
                 let largest = if field(&there, "cubes").as_u64() == Some(0) {
                     0
@@ -147,6 +147,23 @@ impl Client {
 
     /// Inserts cubes with the ids from `first_id` on, durably. Sent again it changes nothing, so a lost answer is no harm.
     pub(crate) async fn insert(&self, first_id: u64, places: &[Place]) -> Result<(), Failure> {
+        let mut url = self.below("changes");
+        url.set_query(Some("return=minimal"));
+        self.change(url, first_id, places).await.map(drop)
+    }
+
+    /// As [`Self::insert`], answering the mass properties after it.
+    pub(crate) async fn insert_and_measure(
+        &self,
+        first_id: u64,
+        places: &[Place],
+    ) -> Result<Value, Failure> {
+        let url = self.below("changes");
+        let text = self.change(url.clone(), first_id, places).await?;
+        Ok(parse(&url, &text)?["mass_properties"].take())
+    }
+
+    async fn change(&self, url: Url, first_id: u64, places: &[Place]) -> Result<String, Failure> {
         let column = |axis: usize| places.iter().map(|place| place.corner()[axis]).collect();
         let change = Change {
             delete: vec![],
@@ -155,14 +172,12 @@ impl Client {
             y: column(1),
             z: column(2),
         };
-        let mut url = self.below("changes");
-        url.set_query(Some("return=minimal"));
         let request = self
             .http
             .post(url)
             .header(header::CONTENT_TYPE, "application/x-protobuf")
             .body(Bytes::from(change.encode_to_vec()));
-        self.ask(request).await.map(drop)
+        self.ask(request).await
     }
 
     /// The largest id in the scene, from the listing of all its cubes.
@@ -210,13 +225,6 @@ impl Client {
             segments.push(name);
         }
         url
-    }
-
-    fn parse(&self, url: &Url, text: &str) -> Result<Value, Failure> {
-        serde_json::from_str(text).map_err(|error| Failure::Answer {
-            url: url.clone(),
-            cause: error.to_string(),
-        })
     }
 
     async fn ask(&self, request: reqwest::RequestBuilder) -> Result<String, Failure> {
@@ -310,6 +318,13 @@ impl Stream {
             Some(Err(error)) => std::panic::resume_unwind(error.into_panic()),
         }
     }
+}
+
+fn parse(url: &Url, text: &str) -> Result<Value, Failure> {
+    serde_json::from_str(text).map_err(|error| Failure::Answer {
+        url: url.clone(),
+        cause: error.to_string(),
+    })
 }
 
 /// Whether a scene that is there can take the cubes.

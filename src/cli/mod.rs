@@ -2,6 +2,7 @@
 
 mod audit;
 mod client;
+mod cutter;
 mod demo;
 mod input;
 mod measure;
