@@ -1,4 +1,5 @@
-//! What the service counts, for whoever installs an exporter. No label by scene: their number is the clients' choice.
+//! What the service counts, for whoever installs an exporter. No label by scene: their number is the
+//! clients' choice. Scenes and cubes are counted by who renders the metrics, from [`super::Service::scenes`].
 
 use std::time::Duration;
 
@@ -13,11 +14,9 @@ const INSERTED: &str = "union3d_cubes_inserted_total";
 const DELETED: &str = "union3d_cubes_deleted_total";
 const REFUSED: &str = "union3d_changes_refused_total";
 const QUEUE_FULL: &str = "union3d_queue_full_total";
-const GROUP: &str = "union3d_group_changes";
+const COMMITS: &str = "union3d_commits_total";
 const COMMIT: &str = "union3d_commit_seconds";
 const WAITING: &str = "union3d_queue_changes";
-const CUBES: &str = "union3d_cubes";
-const SCENES: &str = "union3d_scenes";
 const STOPS: &str = "union3d_scene_stops_total";
 const RECOVERIES: &str = "union3d_recoveries_total";
 const RECOVERY: &str = "union3d_recovery_seconds";
@@ -33,15 +32,13 @@ pub fn describe_metrics() {
         "Changes refused because they do not fit their scene"
     );
     describe_counter!(QUEUE_FULL, "Changes refused because too many were waiting");
-    describe_histogram!(GROUP, "Changes made durable by one commit");
+    describe_counter!(COMMITS, "Commits: changes that wait at once share one");
     describe_histogram!(
         COMMIT,
         Unit::Seconds,
         "Time of one commit, its sync included"
     );
     describe_gauge!(WAITING, "Changes waiting in the queues of all scenes");
-    describe_gauge!(CUBES, "Cubes in all running scenes");
-    describe_gauge!(SCENES, "Scenes, running or not");
     describe_counter!(STOPS, "Times a scene stopped because its disk failed");
     describe_counter!(
         RECOVERIES,
@@ -51,8 +48,8 @@ pub fn describe_metrics() {
     describe_counter!(SNAPSHOTS, "Snapshots written");
 }
 
-/// A count as a gauge takes it. Nothing that a gauge counts here reaches the limit ([`crate::geometry::CUBES_MAX`] fits).
-fn narrow(count: impl TryInto<u32>) -> u32 {
+/// A count as a gauge takes it: a queue is never as long as that.
+fn narrow(count: usize) -> u32 {
     count.try_into().unwrap_or(u32::MAX)
 }
 
@@ -76,29 +73,11 @@ pub(super) fn changed(net: &Counts) {
     counter!(CHANGES).increment(1);
     counter!(INSERTED).increment(net.inserted);
     counter!(DELETED).increment(net.deleted);
-    gauge!(CUBES).increment(narrow(net.inserted));
-    gauge!(CUBES).decrement(narrow(net.deleted));
 }
 
-pub(super) fn committed(changes: usize, time: Duration) {
-    histogram!(GROUP).record(narrow(changes));
+pub(super) fn committed(time: Duration) {
+    counter!(COMMITS).increment(1);
     histogram!(COMMIT).record(time);
-}
-
-pub(super) fn scene_added() {
-    gauge!(SCENES).increment(1);
-}
-
-pub(super) fn scene_removed() {
-    gauge!(SCENES).decrement(1);
-}
-
-pub(super) fn scene_runs(cubes: u64) {
-    gauge!(CUBES).increment(narrow(cubes));
-}
-
-pub(super) fn scene_ends(cubes: u64) {
-    gauge!(CUBES).decrement(narrow(cubes));
 }
 
 pub(super) fn scene_stopped() {

@@ -13,6 +13,7 @@
 
 mod inbox;
 mod meters;
+mod offline;
 mod recover;
 mod registry;
 mod scene;
@@ -27,6 +28,7 @@ use crate::geometry::{CubeId, Place, Totals};
 use crate::log::LogError;
 pub use crate::log::{HistoryRow, Seq};
 pub use meters::describe_metrics;
+pub use offline::{Offline, OfflineAudit};
 pub use registry::Service;
 pub use scene::Scene;
 

@@ -1,5 +1,6 @@
 //! From a log to a running scene: the one way in, at start and after a failure.
 
+use std::path::Path;
 use std::time::Instant;
 
 use parking_lot::{Condvar, Mutex};
@@ -30,8 +31,8 @@ pub(super) enum Halt {
 }
 
 /// The state that a replay rebuilds.
-struct Replay {
-    engine: Engine,
+pub(super) struct Rebuilt {
+    pub(super) engine: Engine,
     seq: Seq,
     at_ms: u64,
     next_id: u64,
@@ -106,60 +107,67 @@ pub(super) fn keep(scene: &Scene) -> Keep {
 /// Replays an open log.
 pub(super) fn revive(scene: &Scene, mut log: SceneLog) -> Result<Live, Halt> {
     let start = Instant::now();
-    let header = log.header().clone();
-    let foreign = |detail: String| LogError::Foreign {
-        path: scene.directory.clone(),
-        detail,
-    };
-    let edge =
-        Edge::new(i64::from(header.edge_steps)).map_err(|invalid| foreign(invalid.to_string()))?;
-    if !scene.keep_header(&header) {
-        return Err(
-            foreign("another scene's files were put here while it was stopped".into()).into(),
-        );
+    if !scene.keep_header(log.header()) {
+        let detail = "another scene's files were put here while it was stopped".to_owned();
+        let path = scene.directory.clone();
+        return Err(LogError::Foreign { path, detail }.into());
     }
-    let mut replay = Replay {
-        engine: Engine::new(edge),
-        seq: Seq(0),
-        at_ms: 0,
-        next_id: 1,
-    };
-    let mut ended = false;
-    let result = log.replay(
-        &mut |permille| scene.set_permille(permille),
-        &mut |replayed| {
-            ended = ended || scene.inbox.ended().is_some();
-            !ended && replay.visit(&replayed)
-        },
-    );
-    if ended {
-        return Err(Halt::Ended);
-    }
-    result?;
+    let rebuilt = rebuild(
+        &mut log,
+        &scene.directory,
+        |permille| scene.set_permille(permille),
+        || scene.inbox.ended().is_some(),
+    )?;
     let history = log.history()?;
-    if replay.seq == Seq(0) {
-        replay.at_ms = history.at(Seq(0))?.map_or(0, |row| row.at_ms);
+    let mut published = rebuilt.published();
+    if published.seq == Seq(0) {
+        published.at_ms = history.at(Seq(0))?.map_or(0, |row| row.at_ms);
     }
-    let published = Published {
-        seq: replay.seq,
-        at_ms: replay.at_ms,
-        totals: replay.engine.totals(),
-    };
     meters::recovered(start.elapsed());
     tracing::info!(
         scene = scene.name().as_str(),
-        seq = replay.seq.0,
-        cubes = replay.engine.len(),
+        seq = published.seq.0,
+        cubes = published.totals.cubes,
         milliseconds = start.elapsed().as_millis(),
         "recovered"
     );
     Ok(Live::new(
         log,
-        replay.engine,
+        rebuilt.engine,
         &published,
-        replay.next_id,
+        rebuilt.next_id,
         Feed::new(&published, history),
     ))
+}
+
+/// Rebuilds the state that a log leads to, comparing the totals at every step; gives up when `ended` says so.
+pub(super) fn rebuild(
+    log: &mut SceneLog,
+    directory: &Path,
+    mut progress: impl FnMut(u32),
+    ended: impl Fn() -> bool,
+) -> Result<Rebuilt, Halt> {
+    let steps = i64::from(log.header().edge_steps);
+    let edge = Edge::new(steps).map_err(|invalid| LogError::Foreign {
+        path: directory.to_owned(),
+        detail: invalid.to_string(),
+    })?;
+    let mut rebuilt = Rebuilt {
+        engine: Engine::new(edge),
+        seq: Seq(0),
+        at_ms: 0,
+        next_id: 1,
+    };
+    let mut has_ended = false;
+    let result = log.replay(&mut progress, &mut |replayed| {
+        has_ended = has_ended || ended();
+        !has_ended && rebuilt.visit(&replayed)
+    });
+    if has_ended {
+        return Err(Halt::Ended);
+    }
+    result?;
+    Ok(rebuilt)
 }
 
 /// The id after the greatest one inserted so far; 0 when there is none left.
@@ -173,7 +181,16 @@ pub(super) fn next_id_after(next_id: u64, inserted: CubeId) -> u64 {
     }
 }
 
-impl Replay {
+impl Rebuilt {
+    /// Where it stands.
+    pub(super) fn published(&self) -> Published {
+        Published {
+            seq: self.seq,
+            at_ms: self.at_ms,
+            totals: self.engine.totals(),
+        }
+    }
+
     /// Takes one step; false when it does not lead to the totals that were recorded.
     fn visit(&mut self, replayed: &Replayed<'_>) -> bool {
         match *replayed {

@@ -19,9 +19,7 @@ use super::inbox::End;
 use super::recover::{Gate, Halt, keep, revive};
 use super::scene::{Scene, Setup, blocking};
 use super::writer::{self, Live};
-use super::{
-    FaultHook, Readiness, SceneName, SceneState, ServiceConfig, ServiceError, StartError, meters,
-};
+use super::{FaultHook, Readiness, SceneName, SceneState, ServiceConfig, ServiceError, StartError};
 use crate::geometry::Edge;
 use crate::log::{Header, SceneLog};
 
@@ -83,6 +81,7 @@ impl Service {
     }
 
     fn open(config: ServiceConfig, faults: Option<FaultHook>) -> Result<Self, StartError> {
+        fs::create_dir_all(&config.data).map_err(|error| unusable(&config.data, &error))?;
         let lock = lock_data(&config.data)?;
         let failed = |doing: &str, path: &Path, error: &io::Error| {
             StartError(format!("cannot {doing} {}: {error}", path.display()))
@@ -130,7 +129,6 @@ impl Service {
             lock: Mutex::new(Some(lock)),
         };
         for (scene, _) in &registry.found {
-            meters::scene_added();
             spawn(scene, None).map_err(|error| {
                 StartError(format!(
                     "cannot start a thread for scene {}: {error}",
@@ -268,7 +266,6 @@ impl Registry {
             return Err(error);
         }
         tracing::info!(scene = name.as_str(), "created");
-        meters::scene_added();
         self.scenes.insert(name.as_str().into(), scene.clone());
         Ok((scene, true))
     }
@@ -284,7 +281,6 @@ impl Registry {
         match self.discard(name) {
             Ok(()) => {
                 self.scenes.remove(name.as_str());
-                meters::scene_removed();
                 tracing::info!(scene = name.as_str(), "dropped");
                 Ok(())
             }
@@ -377,28 +373,28 @@ fn spawn(scene: &Arc<Scene>, live: Option<Live>) -> io::Result<()> {
     Ok(())
 }
 
-/// Opens and locks `DATA/lock`, creating the directory when it is not there.
-fn lock_data(data: &Path) -> Result<File, StartError> {
-    let failed = |error: &io::Error| {
-        StartError(format!(
-            "cannot use the data directory {}: {error}; name another with --data",
-            data.display()
-        ))
-    };
-    fs::create_dir_all(data).map_err(|error| failed(&error))?;
+/// Opens and locks `DATA/lock`: as long as the file is open, no other service uses the directory.
+pub(super) fn lock_data(data: &Path) -> Result<File, StartError> {
     let lock = File::options()
         .create(true)
         .append(true)
         .open(data.join("lock"))
-        .map_err(|error| failed(&error))?;
+        .map_err(|error| unusable(data, &error))?;
     match lock.try_lock() {
         Ok(()) => Ok(lock),
         Err(TryLockError::WouldBlock) => Err(StartError(format!(
             "the data directory {} is in use by another union3d; stop that one, or name another directory with --data",
             data.display()
         ))),
-        Err(TryLockError::Error(error)) => Err(failed(&error)),
+        Err(TryLockError::Error(error)) => Err(unusable(data, &error)),
     }
+}
+
+fn unusable(data: &Path, error: &io::Error) -> StartError {
+    StartError(format!(
+        "cannot use the data directory {}: {error}; name another with --data",
+        data.display()
+    ))
 }
 
 /// Makes renames and new names in a directory durable.

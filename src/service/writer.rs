@@ -118,7 +118,6 @@ fn attempt(scene: &Scene) -> Result<Live, Halt> {
 }
 
 fn serve_until_halt(scene: &Scene, mut live: Live) -> (Halt, Vec<Reply>) {
-    meters::scene_runs(live.published.totals.cubes);
     scene.set_permille(1000);
     scene.set_condition(Condition::Running(live.feed.clone()));
     scene.inbox.open();
@@ -130,7 +129,6 @@ fn serve_until_halt(scene: &Scene, mut live: Live) -> (Halt, Vec<Reply>) {
             cause: "the writer failed by a fault of this program; see its log".to_owned(),
         })
     });
-    meters::scene_ends(live.published.totals.cubes);
     (halt, live.unanswered)
 }
 
@@ -226,7 +224,7 @@ impl Live {
         match self.judge_and_append(scene, submissions) {
             Ok((group, answers)) => {
                 if let Some(newest) = group.newest() {
-                    meters::committed(group.records.len(), start.elapsed());
+                    meters::committed(start.elapsed());
                     group.net.iter().for_each(meters::changed);
                     self.published = newest;
                     self.feed.publish(&newest);

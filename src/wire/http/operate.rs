@@ -40,6 +40,7 @@ pub(super) fn recorder() -> PrometheusHandle {
 }
 
 fn describe() {
+    crate::service::describe_metrics();
     metrics::describe_counter!("union3d_http_requests_total", "Requests answered");
     metrics::describe_histogram!(
         "union3d_http_request_duration_seconds",
