@@ -178,10 +178,13 @@ impl Fault {
     }
 }
 
-/// A client's JSON as it may be repeated: scalars as they are, what is long or no finite number as text.
+/// A client's JSON as it may be repeated: scalars as they are, as text what is long or what a number cannot hold.
 fn echo(raw: &str) -> Value {
     let scalar = raw.len() <= ECHO_BYTES_MAX && !raw.starts_with(['{', '[']);
     match serde_json::from_str(raw) {
+        Ok(Value::Number(number)) if number.is_f64() && !raw.contains(['.', 'e', 'E']) => {
+            Value::String(shortened(raw))
+        }
         Ok(value) if scalar => value,
         _ => Value::String(shortened(raw)),
     }

@@ -29,6 +29,7 @@ use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetReques
 use tower_http::trace::TraceLayer;
 use utoipa_swagger_ui::SwaggerUi;
 
+pub use self::operate::install_metrics;
 use self::request::within;
 use super::problem::{Code, Problem};
 use crate::service::Service;
@@ -119,7 +120,7 @@ pub fn router(service: Service, limits: Limits) -> Router {
     let app = App {
         service,
         limits,
-        metrics: operate::recorder(),
+        metrics: install_metrics(),
     };
     let add = |router: Router<App>, (path, methods): Route| router.route(path, methods);
     let bounded = bounded_routes().into_iter().fold(Router::new(), add);
