@@ -33,7 +33,7 @@ const LINES: usize = 24;
 
 const SCENE: &str = "demo";
 
-/// Arguments of `demo`.
+/// Run a server and stream a bundled tool path into it
 #[derive(Debug, clap::Args)]
 #[command(
     long_about = "Starts a server, streams a bundled tool path (a small plate with pockets, bores and an outline) into it through the \

@@ -22,7 +22,7 @@ const DETECTION_BYTES: usize = 8_192;
 /// Longest line of text.
 const LINE_BYTES_MAX: u64 = 65_536;
 
-/// Arguments of `measure`.
+/// Measure the union of the cubes in a file, without a server
 #[derive(Debug, clap::Args)]
 #[command(
     long_about = "Measures the union of the cubes in a file, exactly, without a server.
@@ -37,7 +37,8 @@ lattice, halves away from zero. An id may be repeated at the same place, and cou
     after_long_help = "Examples:
   union3d measure cubes.csv --edge 0.01
   printf '0,0,0\\n1,0,0\\n' | union3d measure - --edge 1
-  curl -H 'accept: application/x-ndjson' http://127.0.0.1:7373/v1/scenes/pocket/cubes | union3d measure - --edge 3.175 --json"
+  curl -H 'accept: application/x-ndjson' http://127.0.0.1:7373/v1/scenes/pocket/cubes |
+    union3d measure - --edge 3.175 --json"
 )]
 pub(crate) struct Args {
     /// The cubes; - is standard input.

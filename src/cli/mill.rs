@@ -21,7 +21,7 @@ use union3d::wire::convert::{self, Anchor, Settings, WantedSettings};
 /// Warnings of one kind that are printed; the rest are counted.
 const WARNINGS_MAX: u64 = 10;
 
-/// Arguments of `mill`.
+/// Turn G-code into the cubes that a cubic cutter sweeps, and measure their union
 #[derive(Debug, clap::Args)]
 #[command(
     long_about = "Reads G-code, moves a cubic cutter along it, and measures the union of all cubes it covers: what it removes.
@@ -38,7 +38,8 @@ Without --server the cubes go into an engine in this process. With --server they
 `union3d serve`, which is made if it is not there; its mass properties are those of everything in it.",
     after_long_help = "Examples:
   union3d mill pocket.gcode --edge 3.175
-  union3d mill pocket.gcode --edge 3.175 --step 0.05 --out pocket.i32 && union3d measure pocket.i32 --edge 3.175
+  union3d mill pocket.gcode --edge 3.175 --step 0.05 --out pocket.i32
+  union3d measure pocket.i32 --edge 3.175
   union3d mill pocket.gcode --edge 0.125 --unit inch
   union3d mill pocket.gcode --edge 3.175 --server http://127.0.0.1:7373 --scene pocket
   cat pocket.gcode | union3d mill - --edge 3.175 --json"
