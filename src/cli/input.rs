@@ -6,10 +6,11 @@ use std::path::Path;
 
 use union3d::wire::convert::InvalidSetting;
 
+/// Something to read, and its size if that is known.
+pub(crate) type Input = (Box<dyn Read>, Option<u64>);
+
 /// A file (- is standard input) and its size, if that is known.
-pub(crate) fn open(
-    path: &Path,
-) -> Result<(Box<dyn Read>, Option<u64>), Box<dyn std::error::Error>> {
+pub(crate) fn open(path: &Path) -> Result<Input, Box<dyn std::error::Error>> {
     if path == Path::new("-") {
         return Ok((Box::new(std::io::stdin().lock()), None));
     }

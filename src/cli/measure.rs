@@ -84,19 +84,27 @@ type Failure = Box<dyn std::error::Error>;
 
 /// Runs `measure`.
 pub(crate) fn run(args: Args) -> Outcome {
+    let Args {
+        file,
+        edge,
+        steps_per_unit,
+        anchor,
+        format,
+        json,
+    } = args;
     let wanted = WantedSettings {
-        steps_per_unit: args.steps_per_unit.into(),
-        anchor: match args.anchor {
+        steps_per_unit: steps_per_unit.into(),
+        anchor: match anchor {
             At::Corner => Anchor::Corner,
             At::Center => Anchor::Center,
         },
-        ..WantedSettings::with_edge(args.edge)
+        ..WantedSettings::with_edge(edge)
     };
     let settings = Settings::check(wanted).map_err(|faults| input::faults(&faults))?;
-    let (source, size) = input::open(&args.file)?;
+    let (source, size) = input::open(&file)?;
     let bar = progress::bytes(size);
     let mut source = BufReader::with_capacity(DETECTION_BYTES.max(1 << 16), bar.wrap_read(source));
-    let format = match args.format.or_else(|| named(&args.file)) {
+    let format = match format.or_else(|| named(&file)) {
         Some(format) => format,
         None => detect(&mut source)?,
     };
@@ -108,10 +116,10 @@ pub(crate) fn run(args: Args) -> Outcome {
     };
     let read = read.and_then(|()| scene.apply());
     bar.finish_and_clear();
-    read.map_err(|failure| format!("{}: {failure}", args.file.display()))?;
+    read.map_err(|failure| format!("{}: {failure}", file.display()))?;
     let properties = convert::mass_properties(None, None, &scene.engine.totals(), &settings);
     let mut output = std::io::stdout().lock();
-    if args.json {
+    if json {
         writeln!(output, "{}", serde_json::to_string(&properties)?)?;
     } else {
         let properties = serde_json::to_value(&properties)?;

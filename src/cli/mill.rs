@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{BufReader, BufWriter, Read, Write};
+use std::io::{BufReader, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
@@ -12,7 +12,8 @@ use serde_json::{Value, value::RawValue};
 
 use super::client::{BATCH_CUBES, Client, SceneWanted, Stream};
 use super::cutter::{Cutter, STEPS_PER_EDGE, Unit};
-use super::{Outcome, input, progress, report};
+use super::input::{self, Input};
+use super::{Outcome, progress, report};
 use union3d::engine::Engine;
 use union3d::geometry::{CubeId, Effect, Place};
 use union3d::toolpath::{Event, Motion, Moves, Warning};
@@ -53,7 +54,7 @@ pub(crate) struct Args {
     /// Longest way between two positions of the cutter, in the scene's unit [default: a twentieth of the edge].
     #[arg(long, value_name = "LENGTH", value_parser = positive)]
     step: Option<f64>,
-    /// Stream the cubes to this server, such as http://127.0.0.1:7373, instead of measuring them here.
+    /// Stream the cubes to this server, such as `http://127.0.0.1:7373`, instead of measuring them here.
     #[arg(long, value_name = "URL")]
     server: Option<String>,
     /// Scene on the server [default: the file's name].
@@ -71,7 +72,7 @@ pub(crate) struct Args {
     /// Write the lower corners of the cubes, in steps, as little-endian 32-bit triplets: a file for `union3d measure`.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// Print one JSON object: {"moves","cubes","seconds","mass_properties"}.
+    /// Print one JSON object: `{"moves","cubes","seconds","mass_properties"}`.
     #[arg(long)]
     json: bool,
 }
@@ -96,20 +97,19 @@ struct Milled<'answer> {
 /// Runs `mill`.
 pub(crate) fn run(args: Args) -> Outcome {
     let settings = settings(&args)?;
-    let (source, size) = input::open(&args.file)?;
+    let source = input::open(&args.file)?;
     let runtime = tokio::runtime::Runtime::new()?;
-    let milled = runtime.block_on(mill(&args, &settings, source, size))?;
-    Ok(milled)
+    runtime.block_on(mill(args, &settings, source))?;
+    Ok(ExitCode::SUCCESS)
 }
 
 async fn mill(
-    args: &Args,
+    args: Args,
     settings: &Settings,
-    source: Box<dyn Read>,
-    size: Option<u64>,
-) -> Outcome {
+    (source, size): Input,
+) -> Result<(), Box<dyn std::error::Error>> {
     let started = Instant::now();
-    let mut target = target(args, settings).await?;
+    let mut target = target(&args, settings).await?;
     let mut out = match &args.out {
         Some(path) => Some(BufWriter::new(
             File::create(path).map_err(input::about(path))?,
@@ -175,8 +175,7 @@ async fn mill(
         seconds,
         mass_properties: &mass_properties,
     };
-    print(args, &milled)?;
-    Ok(ExitCode::SUCCESS)
+    print(&args, &milled)
 }
 
 fn print(args: &Args, milled: &Milled<'_>) -> Result<(), Box<dyn std::error::Error>> {

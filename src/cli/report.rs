@@ -88,9 +88,21 @@ pub(crate) fn figure(value: &Value) -> String {
             text.trim_end_matches('0').trim_end_matches('.').to_owned()
         }
     };
+    grouped(&text)
+}
+
+/// A number with exactly three digits after the point, for columns.
+pub(crate) fn column(value: &Value) -> String {
+    value
+        .as_f64()
+        .map_or_else(|| "-".to_owned(), |float| grouped(&format!("{float:.3}")))
+}
+
+/// A decimal number with its thousands apart.
+fn grouped(text: &str) -> String {
     let (sign, text) = text
         .strip_prefix('-')
-        .map_or(("", text.as_str()), |rest| ("-", rest));
+        .map_or(("", text), |rest| ("-", rest));
     let (whole, fraction) = text
         .split_once('.')
         .map_or((text, None), |(whole, part)| (whole, Some(part)));
@@ -128,5 +140,6 @@ mod tests {
             let value = serde_json::from_str(value).expect("JSON");
             assert_eq!(figure(&value), text);
         }
+        assert_eq!(column(&1_234.5.into()), "1,234.500");
     }
 }
