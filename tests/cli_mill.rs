@@ -177,6 +177,11 @@ fn refused_programs_measure_nothing() {
         "",
         &["--step", "more than 0"],
     );
+    check_refused(
+        &["-", "--edge", "1", "--step", "1e-300"],
+        "G21 G1 X1\n",
+        &["--step 1e-300", "--steps-per-unit"],
+    );
     check_refused(&["-", "--edge", "1", "--scene", "a"], "", &["--server"]);
     check_refused(&["no/such.gcode", "--edge", "1"], "", &["no/such.gcode"]);
     check_refused(

@@ -19,6 +19,9 @@ use union3d::geometry::{CubeId, Effect, Place};
 use union3d::toolpath::{Event, Motion, Moves, Warning};
 use union3d::wire::convert::{self, Anchor, Settings, WantedSettings};
 
+/// Positions nearer to each other than this many lattice steps make no more places, only more work.
+const LATTICE_STEPS_MIN: f64 = 0.01;
+
 /// Warnings of one kind that are printed; the rest are counted.
 const WARNINGS_MAX: u64 = 10;
 
@@ -109,6 +112,13 @@ async fn mill(
     (source, size): Input,
 ) -> Result<(), Box<dyn std::error::Error>> {
     let started = Instant::now();
+    let step = args.step.unwrap_or(args.edge / STEPS_PER_EDGE);
+    if step * f64::from(args.steps_per_unit) < LATTICE_STEPS_MIN {
+        return Err(format!(
+            "--step {step} is less than {LATTICE_STEPS_MIN} lattice steps, to which positions are rounded: take a longer one, or more --steps-per-unit"
+        )
+        .into());
+    }
     let mut target = target(&args, settings).await?;
     let mut out = match &args.out {
         Some(path) => Some(BufWriter::new(
@@ -118,11 +128,7 @@ async fn mill(
     };
     let bar = progress::bytes(size);
     let mut warnings = Warnings::default();
-    let mut cutter = Cutter::new(
-        settings,
-        args.unit,
-        args.step.unwrap_or(args.edge / STEPS_PER_EDGE),
-    );
+    let mut cutter = Cutter::new(settings, args.unit, step);
     let mut program = Moves::new(BufReader::new(source));
     let (mut moves, mut cubes) = (0, 0_u64);
     let mut batch = Vec::with_capacity(BATCH_CUBES);
