@@ -10,7 +10,7 @@ use std::time::Duration;
 use config::{Config, ConfigError, Environment, File, FileFormat, Map};
 use serde::{Deserialize, Serialize};
 
-use crate::service::ServiceConfig;
+use crate::service::{CHANGE_OPERATIONS_MAX, ServiceConfig};
 
 /// How log lines look.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, clap::ValueEnum)]
@@ -181,7 +181,14 @@ impl ServeConfig {
             .add_source(environment)
             .add_source(Config::try_from(flags)?)
             .build()?;
-        Ok(merged.try_deserialize()?)
+        let config: Self = merged.try_deserialize()?;
+        if config.change_cubes_max.get() > CHANGE_OPERATIONS_MAX {
+            return Err(InvalidConfig(ConfigError::Message(format!(
+                "change_cubes_max is {}; the most is {CHANGE_OPERATIONS_MAX}",
+                config.change_cubes_max
+            ))));
+        }
+        Ok(config)
     }
 
     /// The part that the service needs.

@@ -82,6 +82,7 @@ fn a_value_out_of_range_is_refused_with_its_key() {
         ("queue_changes_max = -5", "queue_changes_max"),
         ("http = 'localhost'", "http"),
         ("log_format = 'xml'", "log_format"),
+        ("change_cubes_max = 100000000", "change_cubes_max"),
     ] {
         let error = merge(text, &[], &ServeFlags::default()).unwrap_err();
         assert!(error.contains(key), "{text}: {error}");

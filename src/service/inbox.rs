@@ -81,7 +81,7 @@ struct State {
 
 impl Submission {
     /// How many operations it has.
-    fn operations(&self) -> usize {
+    pub(super) fn operations(&self) -> usize {
         match &self.operations {
             Operations::Named(ops) => ops.len(),
             Operations::Numbered { delete, insert } => delete.len() + insert.len(),

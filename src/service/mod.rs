@@ -32,6 +32,9 @@ pub use offline::{Offline, OfflineAudit};
 pub use registry::Service;
 pub use scene::Scene;
 
+/// Most operations of one change: what one record of the log holds.
+pub const CHANGE_OPERATIONS_MAX: usize = crate::log::RECORD_CUBES_MAX;
+
 /// How the service runs. Everything has a default but the directory.
 #[derive(Clone, Debug)]
 pub struct ServiceConfig {

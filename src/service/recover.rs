@@ -119,9 +119,10 @@ pub(super) fn revive(scene: &Scene, mut log: SceneLog) -> Result<Live, Halt> {
         || scene.inbox.ended().is_some(),
     )?;
     let history = log.history()?;
+    let created_ms = log.created_ms();
     let mut published = rebuilt.published();
     if published.seq == Seq(0) {
-        published.at_ms = history.at(Seq(0))?.map_or(0, |row| row.at_ms);
+        published.at_ms = created_ms;
     }
     meters::recovered(start.elapsed());
     tracing::info!(

@@ -2,8 +2,7 @@
 //!
 //! ```text
 //!   DATA/lock          held as long as the service lives
-//!   DATA/scenes/NAME/  a scene's log; appears whole, by a rename
-//!   DATA/trash/        dropped scenes: gone from `scenes` by a rename, then deleted at leisure
+//!   DATA/scenes/NAME/  a scene's log: appears whole and goes whole, by a rename
 //! ```
 
 use std::collections::HashSet;
@@ -21,7 +20,7 @@ use super::scene::{Scene, Setup, blocking};
 use super::writer::{self, Live};
 use super::{FaultHook, Readiness, SceneName, SceneState, ServiceConfig, ServiceError, StartError};
 use crate::geometry::Edge;
-use crate::log::{Header, SceneLog};
+use crate::log::{Header, SceneLog, remove_leftovers, remove_scene};
 
 /// Scenes that are replayed at the same time.
 const REPLAYS_MAX: usize = 2;
@@ -83,38 +82,35 @@ impl Service {
     fn open(config: ServiceConfig, faults: Option<FaultHook>) -> Result<Self, StartError> {
         fs::create_dir_all(&config.data).map_err(|error| unusable(&config.data, &error))?;
         let lock = lock_data(&config.data)?;
-        let failed = |doing: &str, path: &Path, error: &io::Error| {
-            StartError(format!("cannot {doing} {}: {error}", path.display()))
+        let scenes = config.data.join("scenes");
+        let failed = |doing: &str, error: &io::Error| {
+            StartError(format!("cannot {doing} {}: {error}", scenes.display()))
         };
-        let (scenes, trash) = (config.data.join("scenes"), config.data.join("trash"));
-        for directory in [&scenes, &trash] {
-            fs::create_dir_all(directory).map_err(|error| failed("create", directory, &error))?;
-        }
+        fs::create_dir_all(&scenes).map_err(|error| failed("create", &error))?;
         for directory in [config.data.parent(), Some(&config.data)]
             .into_iter()
             .flatten()
             .filter(|path| !path.as_os_str().is_empty())
         {
-            sync_directory(directory).map_err(|error| failed("sync", directory, &error))?;
+            let synced = File::open(directory).and_then(|directory| directory.sync_all());
+            synced.map_err(|error| unusable(directory, &error))?;
         }
-        empty_trash(&trash);
+        remove_leftovers(&scenes).map_err(|error| failed("clean", &error))?;
         let setup = Arc::new(Setup {
             config,
             gate: Gate::new(REPLAYS_MAX),
             faults,
         });
         let mut found = Vec::new();
-        for entry in fs::read_dir(&scenes).map_err(|error| failed("read", &scenes, &error))? {
-            let path = entry
-                .map_err(|error| failed("read", &scenes, &error))?
-                .path();
+        for entry in fs::read_dir(&scenes).map_err(|error| failed("read", &error))? {
+            let path = entry.map_err(|error| failed("read", &error))?.path();
             let text = path.file_name().unwrap_or_default().to_string_lossy();
             match SceneName::new(&text) {
                 Ok(name) if path.is_dir() => {
                     let bytes = size_bytes(&path);
                     found.push((Arc::new(Scene::new(name, path, setup.clone())), bytes));
                 }
-                _ => sweep(&path),
+                _ => tracing::warn!("{} is no scene; left alone", path.display()),
             }
         }
         let registry = Registry {
@@ -256,13 +252,22 @@ impl Registry {
             edge_steps: edge.steps().cast_unsigned(),
             settings: settings.to_owned(),
         };
-        let log = SceneLog::create(&scene.directory, &header, keep(&scene))?;
-        let begun = revive(&scene, log)
+        let begun = SceneLog::create(&scene.directory, &header, keep(&scene))
+            .map_err(Halt::from)
+            .and_then(|log| revive(&scene, log))
             .map_err(refusal)
-            .and_then(|live| spawn(&scene, Some(live)).map_err(|error| storage(&error)));
+            .and_then(|live| {
+                // Before the thread runs: the answer to `create` must not be followed by a refusal.
+                live.begin(&scene);
+                spawn(&scene, Some(live)).map_err(|error| storage(&error))
+            });
         if let Err(error) = begun {
             // Nobody was told of the scene: it must not be there after a restart either.
-            self.discard(name).map_err(|error| storage(&error))?;
+            if scene.directory.exists()
+                && let Err(error) = discard(&scene.directory)
+            {
+                tracing::error!("{} is left: {error}", scene.directory.display());
+            }
             return Err(error);
         }
         tracing::info!(scene = name.as_str(), "created");
@@ -278,7 +283,7 @@ impl Registry {
         };
         scene.announce_end(End::Dropped);
         scene.finish_end(End::Dropped);
-        match self.discard(name) {
+        match discard(&scene.directory) {
             Ok(()) => {
                 self.scenes.remove(name.as_str());
                 tracing::info!(scene = name.as_str(), "dropped");
@@ -322,20 +327,6 @@ impl Registry {
 
     fn directory(&self, name: &SceneName) -> PathBuf {
         self.setup.config.data.join("scenes").join(name.as_str())
-    }
-
-    /// Takes a scene's files away: durably when it returns, by one rename.
-    fn discard(&self, name: &SceneName) -> io::Result<()> {
-        let data = &self.setup.config.data;
-        // Two lives of a name may be in the trash at once.
-        let unique = format!("{}.{}", name.as_str(), uuid::Uuid::new_v4().simple());
-        let trash = data.join("trash").join(unique);
-        fs::rename(self.directory(name), &trash)?;
-        sync_directory(&data.join("scenes"))?;
-        if let Err(error) = fs::remove_dir_all(&trash) {
-            tracing::warn!("{} is left until the next start: {error}", trash.display());
-        }
-        Ok(())
     }
 }
 
@@ -397,11 +388,6 @@ fn unusable(data: &Path, error: &io::Error) -> StartError {
     ))
 }
 
-/// Makes renames and new names in a directory durable.
-fn sync_directory(directory: &Path) -> io::Result<()> {
-    File::open(directory)?.sync_all()
-}
-
 /// Bytes of the files directly in a directory, as far as they can be seen.
 fn size_bytes(directory: &Path) -> u64 {
     let Ok(entries) = fs::read_dir(directory) else {
@@ -411,21 +397,16 @@ fn size_bytes(directory: &Path) -> u64 {
     sizes.map(|file| file.len()).sum()
 }
 
-/// Deletes what an earlier life did not come to delete.
-fn empty_trash(trash: &Path) {
-    let Ok(entries) = fs::read_dir(trash) else {
-        return;
-    };
-    for entry in entries.flatten() {
-        if let Err(error) = fs::remove_dir_all(entry.path()) {
-            tracing::warn!("cannot delete {}: {error}", entry.path().display());
+/// Takes a scene's files away: durably when it returns.
+fn discard(directory: &Path) -> io::Result<()> {
+    match remove_scene(directory) {
+        // It is gone; only its space was not given back, which the next start does.
+        Err(error) if !directory.exists() => {
+            tracing::warn!("some of {} is left: {error}", directory.display());
+            Ok(())
         }
+        result => result,
     }
-}
-
-/// Deletes what a creation left that did not come to its end; anything else is somebody's, and stays.
-fn sweep(path: &Path) {
-    tracing::warn!("{} is no scene", path.display());
 }
 
 fn storage(error: &io::Error) -> ServiceError {

@@ -19,8 +19,8 @@ use super::inbox::{End, Inbox, Pending, Shut};
 use super::recover::Gate;
 use super::writer::View;
 use super::{
-    Applied, Audit, FaultHook, HistoryRow, Published, SceneName, SceneState, Seq, ServiceConfig,
-    ServiceError, Submission, meters,
+    Applied, Audit, CHANGE_OPERATIONS_MAX, FaultHook, HistoryRow, Published, SceneName, SceneState,
+    Seq, ServiceConfig, ServiceError, Submission, meters,
 };
 use crate::engine::{Cursor, Side, recount};
 use crate::geometry::{CubeId, Edge, Place};
@@ -151,6 +151,15 @@ impl Scene {
     /// change may have been kept, whole, and shows once the scene is back; its cause says so. A retry with the same
     /// ids, or with the same key, is safe.
     pub async fn change(&self, submission: Submission) -> Result<Applied, ServiceError> {
+        let operations = submission.operations();
+        if operations > CHANGE_OPERATIONS_MAX {
+            return Err(ServiceError::Storage {
+                cause: format!(
+                    "a change of {operations} operations is more than the {CHANGE_OPERATIONS_MAX} that one record holds"
+                ),
+                full: false,
+            });
+        }
         let (reply, answer) = oneshot::channel();
         self.inbox
             .submit(

@@ -27,8 +27,8 @@ use crate::log::{Answer, KeyRecord, Log, LogError, Record, SceneLog};
 /// Cubes that one step of a snapshot writes: a few milliseconds between two groups.
 const SNAPSHOT_CHUNK_CUBES: usize = 65_536;
 
-/// A snapshot that did not fit the disk is tried again after this many probe intervals.
-const SNAPSHOT_PAUSE_PROBES: u32 = 60;
+/// Upkeep that did not fit the disk is tried again after this many probe intervals.
+const UPKEEP_PAUSE_PROBES: u32 = 60;
 
 /// What a question sees: the last durable state.
 pub(super) struct View<'a> {
@@ -52,7 +52,7 @@ pub(super) struct Live {
 
 /// What is done a little at a time, between groups.
 enum Upkeep {
-    /// Nothing, until the log wants a snapshot (and not before the time, if any).
+    /// Nothing, until the log wants something (and not before the time, if any).
     Rest(Option<Instant>),
     /// A snapshot is being written.
     Snapshot {
@@ -107,21 +107,19 @@ pub(super) fn run(scene: &Scene, mut live: Option<Live>) {
 /// One try to bring the scene back.
 fn attempt(scene: &Scene) -> Result<Live, Halt> {
     // A panic here is met again at every try (the log is the same), so the scene is refused rather than retried.
-    catch_unwind(AssertUnwindSafe(|| reopen(scene))).unwrap_or_else(|_| {
+    let live = catch_unwind(AssertUnwindSafe(|| reopen(scene))).unwrap_or_else(|_| {
         Err(Halt::Log(LogError::Foreign {
             path: scene.directory.clone(),
             detail:
                 "replay failed by a fault of this program; see its log, and try a newer version"
                     .to_owned(),
         }))
-    })
+    })?;
+    live.begin(scene);
+    Ok(live)
 }
 
 fn serve_until_halt(scene: &Scene, mut live: Live) -> (Halt, Vec<Reply>) {
-    scene.set_permille(1000);
-    scene.set_condition(Condition::Running(live.feed.clone()));
-    scene.inbox.open();
-    scene.set_started();
     let halt = catch_unwind(AssertUnwindSafe(|| live.serve(scene))).unwrap_or_else(|_| {
         // Nothing unlogged was shown, so a fault of this program is survived like one of the disk.
         Halt::Log(LogError::Failed {
@@ -182,9 +180,17 @@ impl Live {
             published: *published,
             next_id,
             feed: Arc::new(feed),
-            upkeep: Upkeep::Trim,
+            upkeep: Upkeep::Rest(None),
             unanswered: Vec::new(),
         }
+    }
+
+    /// Lets callers in: readers are answered at once, changes as soon as the thread runs.
+    pub(super) fn begin(&self, scene: &Scene) {
+        scene.set_permille(1000);
+        scene.set_condition(Condition::Running(self.feed.clone()));
+        scene.inbox.open();
+        scene.set_started();
     }
 
     /// Serves until the log fails or the end comes.
@@ -357,10 +363,14 @@ impl Live {
         match self.upkeep {
             Upkeep::Rest(after) => {
                 after.is_none_or(|after| Instant::now() >= after)
-                    && self.log.wants_snapshot(self.engine.len())
+                    && (self.wants_snapshot() || self.log.wants_trim())
             }
             Upkeep::Snapshot { .. } | Upkeep::Trim => true,
         }
+    }
+
+    fn wants_snapshot(&self) -> bool {
+        self.log.wants_snapshot(self.engine.len())
     }
 
     /// One step of upkeep, short enough that changes hardly wait for it.
@@ -375,7 +385,7 @@ impl Live {
                     scene = scene.name().as_str(),
                     "no snapshot for now: {error}"
                 );
-                let pause = scene.setup.config.probe_interval * SNAPSHOT_PAUSE_PROBES;
+                let pause = scene.setup.config.probe_interval * UPKEEP_PAUSE_PROBES;
                 self.upkeep = Upkeep::Rest(Some(Instant::now() + pause));
                 Ok(())
             }
@@ -385,6 +395,9 @@ impl Live {
 
     fn upkeep_step(&mut self) -> Result<(), LogError> {
         match &mut self.upkeep {
+            Upkeep::Rest(_) if !self.log.wants_snapshot(self.engine.len()) => {
+                self.upkeep = Upkeep::Trim;
+            }
             Upkeep::Rest(_) => {
                 let Published { at_ms, totals, .. } = self.published;
                 self.log.snapshot_begin(at_ms, &totals, self.next_id)?;
