@@ -13,7 +13,7 @@ use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 use union3d::config::{LogFormat, ServeConfig, ServeFlags};
 use union3d::service::{Readiness, Service};
-use union3d::wire::http::{Limits, router};
+use union3d::wire::http::{Limits, install_metrics, router};
 
 use super::Outcome;
 
@@ -73,6 +73,8 @@ pub(crate) async fn serve(config: &ServeConfig, ready: impl FnOnce(SocketAddr)) 
         )
     })?;
     let address = listener.local_addr()?;
+    // First, so that what the start counts is counted.
+    install_metrics();
     let service = Service::start(config.service())?;
     let limits = Limits {
         body_bytes_max: config.body_bytes_max.get(),

@@ -6,33 +6,28 @@ use axum::Json;
 use axum::extract::State;
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
-use metrics_exporter_prometheus::{Matcher, PrometheusBuilder, PrometheusHandle};
+use metrics_exporter_prometheus::{PrometheusBuilder, PrometheusHandle};
 use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::App;
 use super::request::Path;
-use crate::service::Readiness;
+use crate::service::{Readiness, SceneState};
 use crate::wire::openapi;
 use crate::wire::problem::{Code, KINDS, Kind, Problem};
 
-/// Upper bounds of the histograms of times, in seconds.
+/// Upper bounds of the histograms, all of which are of times, in seconds.
 const TIME_BUCKETS_SECONDS: &[f64] = &[
     0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0,
 ];
-
-/// Upper bounds of the histograms of counts.
-const COUNT_BUCKETS: &[f64] = &[1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0, 256.0, 1024.0];
 
 /// Installs the recorder of this process's metrics, once however often it is called. What was counted before is lost, so
 /// call it before the service is started.
 pub fn install_metrics() -> PrometheusHandle {
     static RECORDER: OnceLock<PrometheusHandle> = OnceLock::new();
     let install = || {
-        let times = Matcher::Suffix("_seconds".to_owned());
         let recorder = PrometheusBuilder::new()
-            .set_buckets(COUNT_BUCKETS)
-            .and_then(|builder| builder.set_buckets_for_metric(times, TIME_BUCKETS_SECONDS))
+            .set_buckets(TIME_BUCKETS_SECONDS)
             .expect("there are buckets")
             .build_recorder();
         let handle = recorder.handle();
@@ -46,6 +41,8 @@ pub fn install_metrics() -> PrometheusHandle {
             metrics::Unit::Seconds,
             "Time from a request's head to its answer's head"
         );
+        metrics::describe_gauge!("union3d_scenes", "Scenes, by state");
+        metrics::describe_gauge!("union3d_cubes", "Cubes of all scenes that answer");
         handle
     };
     RECORDER.get_or_init(install).clone()
@@ -110,12 +107,42 @@ pub(super) async fn get_readyz(State(app): State<App>) -> Result<Json<Ready>, Pr
 #[utoipa::path(get, path = "/metrics", tag = "operation",
     responses((status = 200, description = "Metrics", body = String, content_type = "text/plain; version=0.0.4")))]
 pub(super) async fn get_metrics(State(app): State<App>) -> Response {
+    count_scenes(&app);
     app.metrics.run_upkeep();
     let kind = [(
         header::CONTENT_TYPE,
         "text/plain; version=0.0.4; charset=utf-8",
     )];
     (kind, app.metrics.render()).into_response()
+}
+
+/// Sets the gauges of what there is now.
+fn count_scenes(app: &App) {
+    let mut states = [
+        ("running", 0_u32),
+        ("recovering", 0),
+        ("stopped", 0),
+        ("damaged", 0),
+    ];
+    let mut cubes = 0.0;
+    for scene in app.service.scenes() {
+        let state = match scene.state() {
+            SceneState::Running => 0,
+            SceneState::Recovering { .. } => 1,
+            SceneState::Stopped { .. } => 2,
+            SceneState::Damaged { .. } => 3,
+        };
+        states[state].1 += 1;
+        // A scene holds at most 2^31 cubes.
+        let count = scene
+            .published()
+            .map_or(0, |published| published.totals.cubes);
+        cubes += f64::from(u32::try_from(count).unwrap_or(u32::MAX));
+    }
+    for (state, count) in states {
+        metrics::gauge!("union3d_scenes", "state" => state).set(count);
+    }
+    metrics::gauge!("union3d_cubes").set(cubes);
 }
 
 /// This description, OpenAPI 3.1
