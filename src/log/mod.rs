@@ -1,10 +1,39 @@
-//! The log of a scene (skeleton: the contract with `service`).
+//! The log of a scene: what was answered survives everything but the loss of the disk.
 //!
 //! Knows records, snapshots, SQLite and CRCs. Never knows the engine, async or the wire.
+//!
+//! ```text
+//!   append ──> changes, operations, keys ──┐                         ┌──> replay: chunks, then later changes
+//!   snapshot_add ──> chunks ───────────────┴─> one SQLite database ──┼──> HistoryReader: totals by seq
+//!                    head: which rows there must be                  └──> verify
+//! ```
+//! Why a wrong total cannot come out, whatever happens to the files:
+//! - A row other than the head is written once and sealed with a CRC, so a row that is there is right (`tables`).
+//! - The head is part of every transaction and says which rows there must be, so none is missing and none too many.
+//! - SQLite cuts a damaged write-ahead file off without a word; `wal` has looked at it before, and `files` keeps a witness of
+//!   what was answered for outside, so damage in the middle is refused and a lost end is told.
+//! - A write-ahead file that was cut can be older than the database it is laid over. Then the head is older than some
+//!   page; SQLite's own check of its structure (`replay`) and the rows themselves show it.
 
-use std::path::{Path, PathBuf};
+mod codec;
+mod database;
+mod files;
+mod history;
+mod replay;
+mod scene;
+mod snapshot;
+mod tables;
+mod trim;
+mod wal;
+
+use std::path::PathBuf;
 
 use crate::geometry::{CubeId, Effect, Place, Totals};
+
+pub use codec::RECORD_CUBES_MAX;
+pub use files::{TEMPORARY_PREFIX, remove_leftovers, remove_scene};
+pub use history::HistoryReader;
+pub use scene::SceneLog;
 
 /// Number of a change in its scene: 1 for the first; 0 is the empty scene before it.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Default)]
@@ -156,93 +185,4 @@ pub struct HistoryRow {
     pub deleted: u64,
     /// Totals after it.
     pub totals: Totals,
-}
-
-/// A scene's log in one SQLite database.
-#[derive(Debug)]
-pub struct SceneLog {}
-
-/// A scene's history, on a connection of its own: reading never waits for the writer.
-#[derive(Debug)]
-pub struct HistoryReader {}
-
-#[expect(unused_variables, reason = "skeleton")]
-impl SceneLog {
-    /// Creates the scene's directory and log, durably, appearing whole (temporary name, then rename).
-    pub fn create(directory: &Path, header: &Header, keep: Keep) -> Result<Self, LogError> {
-        unimplemented!()
-    }
-    /// Opens an existing one. `notices` says what SQLite cut off its write-ahead file, if it did.
-    pub fn open(directory: &Path, keep: Keep) -> Result<(Self, Vec<String>), LogError> {
-        unimplemented!()
-    }
-    /// What was fixed at creation.
-    pub fn header(&self) -> &Header {
-        unimplemented!()
-    }
-    /// Newest seq in the log.
-    pub fn seq(&self) -> Seq {
-        unimplemented!()
-    }
-    /// The answer recorded for a key, with the body's hash, if it is kept. Looks in memory first: no I/O for unknown keys.
-    pub fn key(&self, key: &str) -> Result<Option<KeyRecord>, LogError> {
-        unimplemented!()
-    }
-    /// Writes and syncs something harmless: proves that the disk takes writes again.
-    pub fn probe(&mut self) -> Result<(), LogError> {
-        unimplemented!()
-    }
-    /// Whether the log has grown longer than the live set of `cubes` is worth.
-    pub fn wants_snapshot(&self, cubes: u64) -> bool {
-        unimplemented!()
-    }
-    /// Begins a snapshot as of the newest seq. An unfinished one is dropped.
-    pub fn snapshot_begin(
-        &mut self,
-        at_ms: u64,
-        totals: &Totals,
-        next_id: u64,
-    ) -> Result<(), LogError> {
-        unimplemented!()
-    }
-    /// Adds some cubes (at most 65,536) to the snapshot under way; appends may come between.
-    pub fn snapshot_add(&mut self, cubes: &[(CubeId, Place)]) -> Result<(), LogError> {
-        unimplemented!()
-    }
-    /// Verifies the chunks as stored, makes the snapshot the one to replay from.
-    pub fn snapshot_finish(&mut self) -> Result<(), LogError> {
-        unimplemented!()
-    }
-    /// Drops a slice of what is no longer needed (ops behind the snapshot, old totals, old snapshots, old keys); true when more is left.
-    pub fn trim(&mut self) -> Result<bool, LogError> {
-        unimplemented!()
-    }
-    /// Bytes on disk.
-    pub fn size_bytes(&self) -> u64 {
-        unimplemented!()
-    }
-    /// A reader of the history.
-    pub fn history(&self) -> Result<HistoryReader, LogError> {
-        unimplemented!()
-    }
-    /// Checks every CRC of every record, whether needed for replay or not, and SQLite's own integrity. Count of records checked.
-    pub fn verify(&mut self, progress: &mut dyn FnMut(u32)) -> Result<u64, LogError> {
-        unimplemented!()
-    }
-}
-
-#[expect(unused_variables, reason = "skeleton")]
-impl HistoryReader {
-    /// Oldest seq whose totals are kept (seq 0, the empty scene, counts as kept until anything was dropped), and the newest.
-    pub fn range(&self) -> Result<(Seq, Seq), LogError> {
-        unimplemented!()
-    }
-    /// The row of one seq; none when it is not kept. Seq 0 is the empty scene.
-    pub fn at(&self, seq: Seq) -> Result<Option<HistoryRow>, LogError> {
-        unimplemented!()
-    }
-    /// Rows from `from` to `to` (both included), oldest first, at most `limit`.
-    pub fn rows(&self, from: Seq, to: Seq, limit: usize) -> Result<Vec<HistoryRow>, LogError> {
-        unimplemented!()
-    }
 }

@@ -1,0 +1,246 @@
+//! One SQLite connection, and the transactions of the writer.
+//!
+//! Knows how SQLite must be set up so that a commit is durable, and that every transaction moves the head. Never knows
+//! what a row means.
+
+use std::path::Path;
+
+use rusqlite::config::DbConfig;
+use rusqlite::{Connection, OpenFlags, Transaction, TransactionBehavior};
+
+use super::files::{APPLICATION_ID, Acknowledged, FORMAT, Mark, Site};
+use super::tables::{Head, Meta, Seal, TABLES};
+use super::{LogError, Seq};
+
+/// SQLite cuts its write-ahead file down to this when it begins it anew.
+const JOURNAL_SIZE_LIMIT: i64 = 64 << 20;
+/// `synchronous=FULL`: in WAL mode the write-ahead file is synced by every commit.
+const SYNCHRONOUS_FULL: i64 = 2;
+
+/// The writer's connection and the head as of its last commit.
+pub(super) struct Database {
+    pub(super) site: Site,
+    pub(super) connection: Connection,
+    pub(super) seal: Seal,
+    pub(super) head: Head,
+    acknowledged: Acknowledged,
+}
+
+impl Database {
+    /// Fills an empty directory with the database of a scene without changes, and closes it.
+    pub(super) fn create(directory: &Path, meta: &Meta) -> Result<(), LogError> {
+        let site = Site::new(directory);
+        let connection = Connection::open_with_flags(
+            &site.database,
+            OpenFlags::SQLITE_OPEN_READ_WRITE
+                | OpenFlags::SQLITE_OPEN_CREATE
+                | OpenFlags::SQLITE_OPEN_NO_MUTEX,
+        )
+        .map_err(site.sqlite(Seq(0)))?;
+        let head = Head::NEW;
+        let build = || {
+            // Both can only be chosen for an empty file; incremental so that `trim` can give pages back.
+            connection.pragma_update(None, "auto_vacuum", "INCREMENTAL")?;
+            connection.pragma_update(None, "application_id", APPLICATION_ID)?;
+            connection.pragma_update(None, "user_version", FORMAT)?;
+            configure_writer(&connection)?;
+            let transaction = connection.unchecked_transaction()?;
+            for (_, table) in TABLES {
+                transaction.execute(table, [])?;
+            }
+            meta.insert(&transaction)?;
+            head.write(&transaction, meta.seal())?;
+            transaction.commit()
+        };
+        build().map_err(site.sqlite(Seq(0)))?;
+        // Closing moves everything into the database file and syncs it.
+        connection
+            .close()
+            .map_err(|(_, error)| site.sqlite(Seq(0))(error))?;
+        let (mut acknowledged, _) = Acknowledged::open(&site).map_err(|error| site.io(&error))?;
+        acknowledged
+            .write(mark(&head))
+            .and_then(|()| acknowledged.sync())
+            .map_err(|error| site.io(&error))
+    }
+
+    /// Opens the database of a scene and checks everything but its rows. Also answers what was last answered for, if that can be read.
+    pub(super) fn open(site: Site) -> Result<(Self, Meta, Option<Mark>), LogError> {
+        let (acknowledged, acknowledged_mark) =
+            Acknowledged::open(&site).map_err(|error| site.io(&error))?;
+        let seq = acknowledged_mark.unwrap_or_default().seq;
+        let connection = Connection::open_with_flags(
+            &site.database,
+            OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX,
+        )
+        .map_err(site.sqlite(seq))?;
+        // Until replay has found everything in order, closing must not touch the files.
+        connection
+            .set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true)
+            .and_then(|_| configure_writer(&connection))
+            .map_err(site.sqlite(seq))?;
+        check_settings(&site, &connection, seq)?;
+        check_schema(&site, &connection, seq)?;
+        let meta = Meta::read(&connection)
+            .map_err(site.sqlite(seq))?
+            .map_err(|error| site.damaged(seq, format_args!("its settings: {error}")))?;
+        let seal = meta.seal();
+        let head = read_head(&site, &connection, seal, seq)?;
+        let database = Self {
+            site,
+            connection,
+            seal,
+            head,
+            acknowledged,
+        };
+        Ok((database, meta, acknowledged_mark))
+    }
+
+    /// Runs `work` in a transaction that also moves the head to what `work` made of it. Durable when it returns `Ok`; nothing
+    /// has happened when it does not.
+    pub(super) fn transact(
+        &mut self,
+        work: impl FnOnce(&Connection, Seal, &mut Head) -> rusqlite::Result<()>,
+    ) -> Result<(), LogError> {
+        let mut head = self.head;
+        head.generation += 1;
+        let commit = || {
+            // Rolls back when it is dropped, also after a commit that failed.
+            let transaction =
+                Transaction::new_unchecked(&self.connection, TransactionBehavior::Immediate)?;
+            work(&transaction, self.seal, &mut head)?;
+            head.write(&transaction, self.seal)?;
+            transaction.commit()
+        };
+        commit().map_err(self.site.sqlite(self.head.seq))?;
+        self.head = head;
+        self.acknowledge();
+        Ok(())
+    }
+
+    /// Notes outside the database how far it has come.
+    pub(super) fn acknowledge(&mut self) {
+        // A mark that stays behind only makes the witness say less; the change itself is on stable storage.
+        drop(self.acknowledged.write(mark(&self.head)));
+    }
+
+    /// Moves the write-ahead file into the database, once its rows are known to be right, and from now on whenever the log is closed.
+    pub(super) fn settle(&mut self) {
+        // Neither is needed for what follows: a full disk must not keep a whole scene from being read.
+        drop(
+            self.connection
+                .set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, false),
+        );
+        drop(
+            self.connection
+                .pragma(None, "wal_checkpoint", "TRUNCATE", |_| Ok(())),
+        );
+        self.acknowledge();
+    }
+
+    /// A connection that only reads.
+    pub(super) fn reader(&self) -> Result<Connection, LogError> {
+        let open = || {
+            let connection = Connection::open_with_flags(
+                &self.site.database,
+                OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX,
+            )?;
+            configure(&connection)?;
+            Ok(connection)
+        };
+        open().map_err(self.site.sqlite(self.head.seq))
+    }
+}
+
+fn mark(head: &Head) -> Mark {
+    Mark {
+        generation: head.generation,
+        seq: head.seq,
+    }
+}
+
+pub(super) fn read_head(
+    site: &Site,
+    connection: &Connection,
+    seal: Seal,
+    seq: Seq,
+) -> Result<Head, LogError> {
+    Head::read(connection, seal)
+        .map_err(site.sqlite(seq))?
+        .map_err(|error| site.damaged(seq, format_args!("its head: {error}")))
+}
+
+fn configure(connection: &Connection) -> rusqlite::Result<()> {
+    connection.set_prepared_statement_cache_capacity(32);
+    connection.pragma_update(None, "trusted_schema", false)?;
+    connection.pragma_update(None, "cell_size_check", true)?;
+    connection.pragma_update(None, "temp_store", "MEMORY")?;
+    connection.pragma_update(None, "mmap_size", 0)
+}
+
+fn configure_writer(connection: &Connection) -> rusqlite::Result<()> {
+    configure(connection)?;
+    connection.pragma_update(None, "synchronous", SYNCHRONOUS_FULL)?;
+    // Where a sync alone does not reach the platters (macOS).
+    connection.pragma_update(None, "fullfsync", true)?;
+    connection.pragma_update(None, "checkpoint_fullfsync", true)?;
+    connection.pragma_update(None, "journal_mode", "WAL")?;
+    connection.pragma_update(None, "journal_size_limit", JOURNAL_SIZE_LIMIT)
+}
+
+/// A setting that did not take is not reported by SQLite.
+fn check_settings(site: &Site, connection: &Connection, seq: Seq) -> Result<(), LogError> {
+    let read = || {
+        let mode: String = connection.pragma_query_value(None, "journal_mode", |row| row.get(0))?;
+        let synchronous: i64 =
+            connection.pragma_query_value(None, "synchronous", |row| row.get(0))?;
+        Ok((mode, synchronous))
+    };
+    let (mode, synchronous) = read().map_err(site.sqlite(seq))?;
+    if mode != "wal" {
+        return Err(site.failed(format_args!(
+            "SQLite's journal mode is {mode} instead of wal; does the file system have shared memory?"
+        )));
+    }
+    if synchronous != SYNCHRONOUS_FULL {
+        return Err(site.failed("SQLite does not sync fully"));
+    }
+    Ok(())
+}
+
+/// Compares the schema word for word: a table that reads differently could still answer, and wrongly.
+fn check_schema(site: &Site, connection: &Connection, seq: Seq) -> Result<(), LogError> {
+    let read = || {
+        connection
+            .prepare("SELECT name, sql FROM sqlite_schema ORDER BY rowid")?
+            .query_map([], |row| Ok((row.get(0)?, row.get(1)?)))?
+            .collect::<rusqlite::Result<Vec<(String, String)>>>()
+    };
+    let found = read().map_err(site.sqlite(seq))?;
+    let found = found.iter().map(|(name, sql)| (&**name, &**sql));
+    if found.eq(TABLES) {
+        Ok(())
+    } else {
+        Err(site.damaged(seq, "its schema"))
+    }
+}
+
+/// The generation that the database file alone has come to, without its write-ahead file; none when it cannot be told, which
+/// is no fault: after a crash the file alone need not make sense.
+pub(super) fn generation_without_write_ahead(site: &Site, seal: Seal) -> Option<u64> {
+    let path = std::path::absolute(&site.database).ok()?;
+    let escaped = path
+        .to_str()?
+        .replace('%', "%25")
+        .replace('?', "%3f")
+        .replace('#', "%23");
+    let connection = Connection::open_with_flags(
+        format!("file:{escaped}?immutable=1"),
+        OpenFlags::SQLITE_OPEN_READ_ONLY
+            | OpenFlags::SQLITE_OPEN_URI
+            | OpenFlags::SQLITE_OPEN_NO_MUTEX,
+    )
+    .ok()?;
+    let head = Head::read(&connection, seal).ok()?.ok()?;
+    Some(head.generation)
+}

@@ -1,0 +1,321 @@
+//! The files of a scene's directory, as far as SQLite does not look after them.
+//!
+//! Knows names, directories, the first bytes of a database file and the one file of our own. Never knows a record.
+//!
+//! ```text
+//! DIRECTORY/scene.sqlite        everything
+//!           scene.sqlite-wal    SQLite's write-ahead file: newest changes, until they are moved into the database
+//!           scene.sqlite-shm    SQLite's index of that; rebuilt whenever it opens
+//!           acknowledged        the newest generation that was answered for
+//! ```
+//! A directory is built under a name that starts with [`TEMPORARY_PREFIX`] and renamed, and removed the other way round, so a crash leaves a
+//! whole scene, or none and some rubbish that [`remove_leftovers`] knows by its name.
+
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+
+use super::{LogError, Seq};
+
+/// Names of directories that are being made or removed start with this; no scene's name does.
+pub const TEMPORARY_PREFIX: &str = ".union3d-temporary-";
+
+/// Written into the header of every database file: "un3d".
+pub(super) const APPLICATION_ID: i32 = 0x756e_3364;
+/// Version of the layout of the files. A change that an older program would misread needs a new one.
+pub(super) const FORMAT: i32 = 1;
+
+const MAGIC: &[u8; 16] = b"SQLite format 3\0";
+const HEADER_SIZE: usize = 100;
+
+/// What every refusal of a damaged scene ends with.
+const ADVICE: &str =
+    "restore the scene's directory from a backup, or delete the scene; nothing was guessed";
+
+/// Where a scene's files are, to find them and to name them in errors.
+#[derive(Clone, Debug)]
+pub(super) struct Site {
+    directory: PathBuf,
+    pub(super) database: PathBuf,
+}
+
+impl Site {
+    pub(super) fn new(directory: &Path) -> Self {
+        Self {
+            directory: directory.to_owned(),
+            database: directory.join("scene.sqlite"),
+        }
+    }
+
+    pub(super) fn write_ahead(&self) -> PathBuf {
+        self.directory.join("scene.sqlite-wal")
+    }
+
+    fn acknowledged(&self) -> PathBuf {
+        self.directory.join("acknowledged")
+    }
+
+    /// Bytes of all files.
+    pub(super) fn size_bytes(&self) -> u64 {
+        let Ok(files) = fs::read_dir(&self.directory) else {
+            return 0;
+        };
+        files
+            .filter_map(|file| file.ok()?.metadata().ok())
+            .map(|metadata| metadata.len())
+            .sum()
+    }
+
+    pub(super) fn damaged(&self, seq: Seq, what: impl std::fmt::Display) -> LogError {
+        LogError::Damaged {
+            path: self.database.clone(),
+            seq,
+            detail: format!("{what}; {ADVICE}"),
+        }
+    }
+
+    pub(super) fn foreign(&self, detail: String) -> LogError {
+        LogError::Foreign {
+            path: self.database.clone(),
+            detail,
+        }
+    }
+
+    pub(super) fn failed(&self, cause: impl std::fmt::Display) -> LogError {
+        LogError::Failed {
+            path: self.database.clone(),
+            cause: cause.to_string(),
+        }
+    }
+
+    /// What an error of SQLite means. `seq` is the best known, for damage.
+    pub(super) fn sqlite(&self, seq: Seq) -> impl Fn(rusqlite::Error) -> LogError {
+        use rusqlite::{Error, ErrorCode};
+        move |error| match error.sqlite_error_code() {
+            Some(ErrorCode::DiskFull) => self.full(),
+            // A full disk shows in other ways too: no room for the shared index, a quota, a sync that allocates late.
+            Some(ErrorCode::SystemIoFailure | ErrorCode::CannotOpen) if self.is_full() => {
+                self.full()
+            }
+            // Not a type we wrote, a number out of range, text that is not UTF-8.
+            None if !matches!(error, Error::InvalidPath(_)) => self.damaged(seq, &error),
+            // Statements are fixed and the schema was compared, so an SQL error is the database's, as is a row in the way.
+            Some(
+                ErrorCode::DatabaseCorrupt
+                | ErrorCode::NotADatabase
+                | ErrorCode::SchemaChanged
+                | ErrorCode::TooBig
+                | ErrorCode::ConstraintViolation
+                | ErrorCode::TypeMismatch
+                | ErrorCode::Unknown,
+            ) => self.damaged(seq, &error),
+            _ => self.failed(&error),
+        }
+    }
+
+    pub(super) fn io(&self, error: &io::Error) -> LogError {
+        match error.kind() {
+            io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => self.full(),
+            _ => self.failed(error),
+        }
+    }
+
+    fn full(&self) -> LogError {
+        LogError::Full {
+            path: self.database.clone(),
+        }
+    }
+
+    /// Whether a new file finds no room: SQLite does not say what its I/O errors were.
+    fn is_full(&self) -> bool {
+        const TRIAL: [u8; 1 << 16] = [1; 1 << 16];
+        let trial = || tempfile::tempfile_in(&self.directory)?.write_all(&TRIAL);
+        trial().is_err_and(|error| matches!(self.io(&error), LogError::Full { .. }))
+    }
+
+    /// Checks the start of the database file before SQLite sees it: SQLite would take an empty file for a new database and
+    /// delete its write-ahead file. Answers the size of a page.
+    pub(super) fn check_database_header(&self) -> Result<usize, LogError> {
+        let mut bytes = Vec::new();
+        File::open(&self.database)
+            .and_then(|file| {
+                file.take(u64::try_from(HEADER_SIZE).expect("a hundred fits"))
+                    .read_to_end(&mut bytes)
+            })
+            .map_err(|error| match error.kind() {
+                io::ErrorKind::NotFound => {
+                    self.damaged(self.acknowledged_seq(), "the file is missing")
+                }
+                _ => self.io(&error),
+            })?;
+        let Some(header) = bytes.first_chunk::<HEADER_SIZE>() else {
+            return Err(self.damaged(self.acknowledged_seq(), "its header is cut off"));
+        };
+        let number = |at: usize| {
+            i32::from_be_bytes(
+                *header[at..]
+                    .first_chunk()
+                    .expect("the header is longer than its last number"),
+            )
+        };
+        if !header.starts_with(MAGIC) || number(68) != APPLICATION_ID {
+            return Err(self.foreign(
+                "not the log of a union3d scene, or damaged in its first bytes".to_owned(),
+            ));
+        }
+        if number(60) != FORMAT {
+            return Err(self.foreign(format!(
+                "the log is of format {}, this program knows {FORMAT}",
+                number(60)
+            )));
+        }
+        // 2 and 2: read and written with a write-ahead file.
+        if header[18..20] != [2, 2] {
+            return Err(self.damaged(self.acknowledged_seq(), "its header is damaged"));
+        }
+        match u16::from_be_bytes([header[16], header[17]]) {
+            1 => Ok(1 << 16),
+            size if size >= 512 && size.is_power_of_two() => Ok(usize::from(size)),
+            _ => Err(self.damaged(self.acknowledged_seq(), "its page size is damaged")),
+        }
+    }
+
+    /// The newest seq that is known to have been answered for, to name it where the database cannot be asked.
+    pub(super) fn acknowledged_seq(&self) -> Seq {
+        Acknowledged::open(self)
+            .ok()
+            .and_then(|(_, mark)| mark)
+            .unwrap_or_default()
+            .seq
+    }
+}
+
+/// How far the log had come when something was last answered for.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+pub(super) struct Mark {
+    /// Transactions since the scene was created.
+    pub(super) generation: u64,
+    /// Newest change.
+    pub(super) seq: Seq,
+}
+
+/// A witness outside the database: a write-ahead file that is cut off between two changes looks like one that never had more.
+///
+/// The mark is written after each commit and never synced, which costs a microsecond. So it may lag behind after a power
+/// failure, but it is never ahead of what was on stable storage; after the death of the process alone it is exact.
+#[derive(Debug)]
+pub(super) struct Acknowledged(File);
+
+impl Acknowledged {
+    const SIZE: usize = 20;
+
+    pub(super) fn open(site: &Site) -> io::Result<(Self, Option<Mark>)> {
+        let mut file = OpenOptions::new()
+            .read(true)
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .open(site.acknowledged())?;
+        let mut bytes = Vec::new();
+        file.read_to_end(&mut bytes)?;
+        Ok((Self(file), Self::parse(&bytes)))
+    }
+
+    fn parse(bytes: &[u8]) -> Option<Mark> {
+        let bytes: &[u8; Self::SIZE] = bytes.try_into().ok()?;
+        let (body, crc) = bytes.split_last_chunk::<4>()?;
+        let (generation, seq) = body.split_first_chunk::<8>()?;
+        (crc32fast::hash(body) == u32::from_le_bytes(*crc)).then_some(Mark {
+            generation: u64::from_le_bytes(*generation),
+            seq: Seq(u64::from_le_bytes(*seq.first_chunk()?)),
+        })
+    }
+
+    pub(super) fn write(&mut self, mark: Mark) -> io::Result<()> {
+        let mut bytes = [0; Self::SIZE];
+        bytes[..8].copy_from_slice(&mark.generation.to_le_bytes());
+        bytes[8..16].copy_from_slice(&mark.seq.0.to_le_bytes());
+        let crc = crc32fast::hash(&bytes[..16]);
+        bytes[16..].copy_from_slice(&crc.to_le_bytes());
+        self.0.seek(SeekFrom::Start(0))?;
+        self.0.write_all(&bytes)
+    }
+
+    pub(super) fn sync(&self) -> io::Result<()> {
+        self.0.sync_all()
+    }
+}
+
+/// Makes `directory` appear whole: `build` fills a directory of another name beside it.
+/// Nobody else creates the same one at the same time.
+pub(super) fn create_whole(
+    directory: &Path,
+    build: impl FnOnce(&Path) -> Result<(), LogError>,
+) -> Result<(), LogError> {
+    let site = Site::new(directory);
+    let io = |error: io::Error| site.io(&error);
+    if directory.exists() {
+        return Err(site.failed("the directory is there already"));
+    }
+    let temporary = temporary_sibling(directory, "create").map_err(io)?;
+    fs::create_dir(&temporary).map_err(io)?;
+    let built = build(&temporary)
+        .and_then(|()| sync_directory(&temporary).map_err(io))
+        .and_then(|()| fs::rename(&temporary, directory).map_err(io))
+        .and_then(|()| sync_directory(parent(directory)).map_err(io));
+    if built.is_err() {
+        // What cannot be removed now has a name by which it is removed later.
+        drop(fs::remove_dir_all(&temporary));
+    }
+    built
+}
+
+/// Removes the directory of a scene, so that a crash leaves it whole or gone.
+/// # Errors
+/// The file system's. When the directory is not there any more, only space was not given back.
+pub fn remove_scene(directory: &Path) -> io::Result<()> {
+    let temporary = temporary_sibling(directory, "remove")?;
+    fs::rename(directory, &temporary)?;
+    sync_directory(parent(directory))?;
+    fs::remove_dir_all(&temporary)
+}
+
+/// A free name beside `directory`.
+fn temporary_sibling(directory: &Path, purpose: &str) -> io::Result<PathBuf> {
+    let mut name = std::ffi::OsString::from(format!("{TEMPORARY_PREFIX}{purpose}-"));
+    name.push(directory.file_name().unwrap_or_default());
+    let temporary = parent(directory).join(name);
+    match fs::remove_dir_all(&temporary) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+        _ => Ok(temporary),
+    }
+}
+
+/// Removes what a crash left of scenes being created or removed under `data`. Only for the one who has locked it.
+/// # Errors
+/// The file system's.
+pub fn remove_leftovers(data: &Path) -> io::Result<()> {
+    for entry in fs::read_dir(data)? {
+        let entry = entry?;
+        let name = entry.file_name();
+        if name
+            .as_encoded_bytes()
+            .starts_with(TEMPORARY_PREFIX.as_bytes())
+        {
+            fs::remove_dir_all(entry.path())?;
+        }
+    }
+    Ok(())
+}
+
+fn parent(directory: &Path) -> &Path {
+    match directory.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    }
+}
+
+/// Names in a directory are durable only once the directory itself is synced.
+fn sync_directory(directory: &Path) -> io::Result<()> {
+    File::open(directory)?.sync_all()
+}

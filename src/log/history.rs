@@ -1,0 +1,134 @@
+//! The totals of past changes.
+//!
+//! Knows the table of changes only, through a connection of its own: SQLite's readers see one moment and never wait for the writer.
+
+use std::fmt;
+
+use rusqlite::{Connection, Transaction};
+
+use super::database::read_head;
+use super::files::Site;
+use super::tables::{Changes, Head, Seal};
+use super::{HistoryRow, LogError, Seq};
+use crate::geometry::Totals;
+
+/// A scene's history, on a connection of its own: reading never waits for the writer.
+pub struct HistoryReader {
+    site: Site,
+    connection: Connection,
+    seal: Seal,
+    created_ms: u64,
+}
+
+impl fmt::Debug for HistoryReader {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter
+            .debug_struct("HistoryReader")
+            .field("site", &self.site)
+            .finish_non_exhaustive()
+    }
+}
+
+impl HistoryReader {
+    pub(super) fn new(site: Site, connection: Connection, seal: Seal, created_ms: u64) -> Self {
+        Self {
+            site,
+            connection,
+            seal,
+            created_ms,
+        }
+    }
+
+    /// Oldest seq whose totals are kept (seq 0, the empty scene, counts as kept until anything was dropped), and the newest.
+    /// # Errors
+    /// [`LogError::Damaged`] when the log is.
+    pub fn range(&self) -> Result<(Seq, Seq), LogError> {
+        let (_, head) = self.moment()?;
+        Ok((oldest(&head), head.seq))
+    }
+
+    /// The row of one seq; none when it is not kept. Seq 0 is the empty scene.
+    /// # Errors
+    /// [`LogError::Damaged`] when the row is missing or not what was written.
+    pub fn at(&self, seq: Seq) -> Result<Option<HistoryRow>, LogError> {
+        Ok(self.rows(seq, seq, 1)?.pop())
+    }
+
+    /// Rows from `from` to `to` (both included), oldest first, at most `limit`. Begins with the oldest that is kept.
+    /// # Errors
+    /// [`LogError::Damaged`] when a row is missing or not what was written.
+    pub fn rows(&self, from: Seq, to: Seq, limit: usize) -> Result<Vec<HistoryRow>, LogError> {
+        let (_transaction, head) = self.moment()?;
+        let first = from.max(oldest(&head));
+        let last = to.min(head.seq);
+        let mut rows = Vec::new();
+        if first > last || limit == 0 {
+            return Ok(rows);
+        }
+        if first == Seq(0) {
+            rows.push(self.empty_scene());
+        }
+        let limit = u64::try_from(limit).expect("a count fits 64 bits");
+        let end = last.0.saturating_add(1).min(first.0.saturating_add(limit));
+        self.read(first.0.max(1), end, &mut rows)?;
+        Ok(rows)
+    }
+
+    /// Appends every change from `first` to before `end`, all of which are kept.
+    fn read(&self, first: u64, end: u64, to: &mut Vec<HistoryRow>) -> Result<(), LogError> {
+        let sqlite = self.site.sqlite(Seq(first));
+        let mut statement = self
+            .connection
+            .prepare_cached("SELECT * FROM changes WHERE seq >= ? AND seq < ? ORDER BY seq")
+            .map_err(&sqlite)?;
+        let mut rows = statement
+            .query([first.cast_signed(), end.cast_signed()])
+            .map_err(&sqlite)?;
+        for seq in (first..end).map(Seq) {
+            let row = rows.next().map_err(&sqlite)?;
+            let row = row
+                .ok_or("the change is missing".to_owned())
+                .and_then(|row| {
+                    Changes::parse(row, self.seal).map_err(|error| format!("the totals: {error}"))
+                })
+                .and_then(|row| {
+                    if row.seq == seq {
+                        Ok(row)
+                    } else {
+                        Err("the change is missing".to_owned())
+                    }
+                })
+                .map_err(|what| self.site.damaged(seq, what))?;
+            to.push(row);
+        }
+        Ok(())
+    }
+
+    /// One moment of the log: until the transaction is dropped, all that is read is as of its head.
+    fn moment(&self) -> Result<(Transaction<'_>, Head), LogError> {
+        let transaction = self
+            .connection
+            .unchecked_transaction()
+            .map_err(self.site.sqlite(Seq(0)))?;
+        let head = read_head(&self.site, &self.connection, self.seal, Seq(0))?;
+        Ok((transaction, head))
+    }
+
+    fn empty_scene(&self) -> HistoryRow {
+        HistoryRow {
+            seq: Seq(0),
+            at_ms: self.created_ms,
+            inserted: 0,
+            deleted: 0,
+            totals: Totals::default(),
+        }
+    }
+}
+
+fn oldest(head: &Head) -> Seq {
+    if head.changes_first == 1 {
+        Seq(0)
+    } else {
+        Seq(head.changes_first)
+    }
+}

@@ -1,0 +1,377 @@
+//! The writer's side of a scene's log: create, open, append.
+//!
+//! Knows the order in which things must happen to be durable. Reading it all back is in `replay`, making it shorter in
+//! `snapshot` and `trim`.
+
+use std::collections::HashMap;
+use std::fmt;
+use std::path::Path;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use super::codec::{Encoder, RECORD_CUBES_MAX, put_totals};
+use super::database::{Database, generation_without_write_ahead};
+use super::files::{Mark, Site, create_whole};
+use super::history::HistoryReader;
+use super::snapshot::UnderWay;
+use super::tables::{CHUNKS_MAX, Changes, Keys, Meta, Packed, Snapshot};
+use super::wal::{self, WriteAhead};
+use super::{Header, HistoryRow, Keep, KeyRecord, Log, LogError, Record, Replayed, Seq};
+use crate::geometry::{Edge, Effect};
+
+/// A scene's log in one SQLite database. There is one writer: the service holds a lock on the data directory.
+///
+/// After an error of [`Log::append`] nothing of it has happened, unless the process or the machine dies next: then what was
+/// not answered for may turn out to be there after all, whole, as with any commit whose answer was lost.
+pub struct SceneLog {
+    pub(super) database: Database,
+    pub(super) meta: Meta,
+    pub(super) edge: Edge,
+    pub(super) keep: Keep,
+    /// The one to replay from.
+    pub(super) snapshot: Option<Snapshot>,
+    pub(super) under_way: Option<UnderWay>,
+    /// Whether there may be chunks that belong to neither.
+    pub(super) chunks_left_over: bool,
+    /// Number of every key in the table.
+    pub(super) keys: HashMap<Box<str>, u64>,
+    pub(super) encoder: Encoder,
+    pub(super) bytes: Vec<u8>,
+}
+
+impl fmt::Debug for SceneLog {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter
+            .debug_struct("SceneLog")
+            .field("site", &self.database.site)
+            .field("head", &self.database.head)
+            .finish_non_exhaustive()
+    }
+}
+
+impl SceneLog {
+    /// Creates the scene's directory and log, durably, appearing whole (temporary name, then rename).
+    /// # Errors
+    /// [`LogError::Failed`] when the directory is there already, otherwise the disk's.
+    pub fn create(directory: &Path, header: &Header, keep: Keep) -> Result<Self, LogError> {
+        let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH);
+        let meta = Meta {
+            header: header.clone(),
+            created_ms: since_1970
+                .ok()
+                .and_then(|duration| duration.as_millis().try_into().ok())
+                .unwrap_or(0),
+        };
+        create_whole(directory, |temporary| Database::create(temporary, &meta))?;
+        let (mut log, _) = Self::open(directory, keep)?;
+        log.database.settle();
+        Ok(log)
+    }
+
+    /// Opens an existing one. `notices` says what SQLite cut off its write-ahead file, if it did.
+    ///
+    /// Checks what can be checked without reading the cubes; [`Log::replay`] does the rest and must come before the first append.
+    /// Refusing changes no file.
+    /// # Errors
+    /// [`LogError::Damaged`] and [`LogError::Foreign`] when the files are not what they were.
+    pub fn open(directory: &Path, keep: Keep) -> Result<(Self, Vec<String>), LogError> {
+        let site = Site::new(directory);
+        let page_size = site.check_database_header()?;
+        let write_ahead =
+            wal::inspect(&site.write_ahead(), page_size).map_err(|error| site.io(&error))?;
+        if let WriteAhead::Broken { detail, frame } = write_ahead {
+            let place = frame.map_or_else(String::new, |frame| format!(" (frame {frame})"));
+            return Err(site.damaged(
+                site.acknowledged_seq(),
+                format_args!("SQLite's write-ahead file: {detail}{place}"),
+            ));
+        }
+        let (database, meta, acknowledged) = Database::open(site)?;
+        let (site, head) = (&database.site, &database.head);
+        if write_ahead != WriteAhead::Empty
+            && generation_without_write_ahead(site, database.seal)
+                .is_some_and(|generation| generation > head.generation)
+        {
+            return Err(site.damaged(
+                head.seq,
+                "SQLite's write-ahead file ends before what is in the database already",
+            ));
+        }
+        let notices = notices(write_ahead, acknowledged, head.generation, head.seq);
+        let edge = Edge::new(i64::from(meta.header.edge_steps))
+            .map_err(|error| site.damaged(head.seq, error))?;
+        let mut log = Self {
+            database,
+            meta,
+            edge,
+            keep,
+            snapshot: None,
+            under_way: None,
+            chunks_left_over: false,
+            keys: HashMap::new(),
+            encoder: Encoder::new(),
+            bytes: Vec::new(),
+        };
+        log.load_snapshot()?;
+        log.load_keys()?;
+        Ok((log, notices))
+    }
+
+    /// What was fixed at creation.
+    pub fn header(&self) -> &Header {
+        &self.meta.header
+    }
+
+    /// When the scene was created, in milliseconds since 1970.
+    pub fn created_ms(&self) -> u64 {
+        self.meta.created_ms
+    }
+
+    /// Newest seq in the log.
+    pub fn seq(&self) -> Seq {
+        self.database.head.seq
+    }
+
+    /// The answer recorded for a key, with the body's hash, if it is kept. Looks in memory first: no I/O for unknown keys.
+    /// # Errors
+    /// [`LogError::Damaged`] when its row is not what was written.
+    pub fn key(&self, key: &str) -> Result<Option<KeyRecord>, LogError> {
+        let Some(&number) = self.keys.get(key) else {
+            return Ok(None);
+        };
+        let site = &self.database.site;
+        let read = || {
+            self.database
+                .connection
+                .prepare_cached("SELECT * FROM keys WHERE number = ?")?
+                .query_row([number.cast_signed()], |row| {
+                    Ok(Keys::parse(row, self.database.seal))
+                })
+        };
+        match read().map_err(site.sqlite(self.seq()))? {
+            Ok((_, record)) if &*record.key == key => Ok(Some(record)),
+            Ok(_) => Err(site.damaged(self.seq(), "an idempotency key")),
+            Err(error) => Err(site.damaged(
+                self.seq(),
+                format_args!("the answer to an idempotency key: {error}"),
+            )),
+        }
+    }
+
+    /// Writes and syncs something harmless: proves that the disk takes writes again.
+    /// # Errors
+    /// The disk's.
+    pub fn probe(&mut self) -> Result<(), LogError> {
+        self.database.transact(|_, _, _| Ok(()))
+    }
+
+    /// Bytes on disk.
+    pub fn size_bytes(&self) -> u64 {
+        self.database.site.size_bytes()
+    }
+
+    /// A reader of the history.
+    /// # Errors
+    /// The disk's.
+    pub fn history(&self) -> Result<HistoryReader, LogError> {
+        Ok(HistoryReader::new(
+            self.database.site.clone(),
+            self.database.reader()?,
+            self.database.seal,
+            self.meta.created_ms,
+        ))
+    }
+
+    fn load_snapshot(&mut self) -> Result<(), LogError> {
+        let Database {
+            site,
+            connection,
+            seal,
+            head,
+            ..
+        } = &self.database;
+        if head.snapshot != 0 {
+            let snapshot = connection
+                .query_row(
+                    "SELECT * FROM snapshots WHERE number = ?",
+                    [head.snapshot.cast_signed()],
+                    |row| Ok(Snapshot::parse(row, *seal)),
+                )
+                .map_err(site.sqlite(head.seq))?
+                .map_err(|error| site.damaged(head.seq, format_args!("its snapshot: {error}")))?;
+            if snapshot.seq > head.seq {
+                return Err(site.damaged(head.seq, "its snapshot is newer than its head"));
+            }
+            self.snapshot = Some(snapshot);
+        }
+        let (first, end) = self.snapshot_chunks();
+        self.chunks_left_over = connection
+            .query_row(
+                "SELECT EXISTS(SELECT 1 FROM chunks WHERE id < ?1) OR EXISTS(SELECT 1 FROM chunks WHERE id >= ?2)",
+                [first, end],
+                |row| row.get(0),
+            )
+            .map_err(site.sqlite(head.seq))?;
+        Ok(())
+    }
+
+    /// Ids that the chunks of the snapshot can have: from, to before.
+    pub(super) fn snapshot_chunks(&self) -> (i64, i64) {
+        let first = self.database.head.snapshot * CHUNKS_MAX;
+        (first.cast_signed(), (first + CHUNKS_MAX).cast_signed())
+    }
+
+    fn load_keys(&mut self) -> Result<(), LogError> {
+        let Database {
+            site,
+            connection,
+            seal,
+            head,
+            ..
+        } = &self.database;
+        let mut expected = head.keys_first;
+        let mut read = || -> rusqlite::Result<Result<(), LogError>> {
+            let mut statement = connection.prepare("SELECT * FROM keys ORDER BY number")?;
+            let mut rows = statement.query([])?;
+            while let Some(row) = rows.next()? {
+                match Keys::parse(row, *seal) {
+                    Ok((number, record)) if number == expected => {
+                        self.keys.insert(record.key, number);
+                        expected += 1;
+                    }
+                    _ => break,
+                }
+            }
+            Ok(if expected == head.keys_next {
+                Ok(())
+            } else {
+                Err(site.damaged(
+                    head.seq,
+                    format_args!("idempotency key {expected} is missing or damaged"),
+                ))
+            })
+        };
+        read().map_err(site.sqlite(head.seq))?
+    }
+
+    fn check_sizes(&self, records: &[Record]) -> Result<(), LogError> {
+        for Record { seq, effect, .. } in records {
+            let cubes = effect.deleted.len() + effect.inserted.len();
+            if cubes > RECORD_CUBES_MAX {
+                let limit = RECORD_CUBES_MAX;
+                return Err(self.database.site.failed(format_args!(
+                    "change {} has {cubes} cubes; a record takes {limit}",
+                    seq.0
+                )));
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Log for SceneLog {
+    /// # Errors
+    /// [`LogError::Full`] or [`LogError::Failed`].
+    /// # Panics
+    /// When the records do not continue the log without a gap, or a key is there already.
+    fn append(&mut self, records: &[Record], keys: &[KeyRecord]) -> Result<(), LogError> {
+        if records.is_empty() && keys.is_empty() {
+            return Ok(());
+        }
+        for (record, seq) in records.iter().zip(self.seq().0 + 1..) {
+            assert_eq!(record.seq.0, seq, "changes are appended in their order");
+        }
+        for record in keys {
+            assert!(
+                !self.keys.contains_key(&record.key),
+                "a key is answered once"
+            );
+        }
+        self.check_sizes(records)?;
+        let Self {
+            database,
+            encoder,
+            bytes,
+            ..
+        } = self;
+        database.transact(|connection, seal, head| {
+            for record in records {
+                let Effect { deleted, inserted } = &record.effect;
+                bytes.clear();
+                encoder.encode([deleted, inserted], bytes);
+                let operations = Packed {
+                    number: record.seq.0,
+                    cubes: bytes,
+                };
+                operations.insert_operations(connection, seal)?;
+                head.seq = record.seq;
+                head.operations_bytes += count(bytes.len());
+                head.operations_cubes += count(deleted.len()) + count(inserted.len());
+                let row = HistoryRow {
+                    seq: record.seq,
+                    at_ms: record.at_ms,
+                    inserted: count(inserted.len()),
+                    deleted: count(deleted.len()),
+                    totals: record.totals,
+                };
+                bytes.clear();
+                put_totals(bytes, &row.totals);
+                Changes::insert(connection, seal, &row, bytes)?;
+            }
+            for record in keys {
+                Keys::insert(connection, seal, head.keys_next, record)?;
+                head.keys_next += 1;
+            }
+            Ok(())
+        })?;
+        let numbers = self.database.head.keys_next - count(keys.len())..;
+        self.keys
+            .extend(keys.iter().map(|record| record.key.clone()).zip(numbers));
+        Ok(())
+    }
+
+    fn replay(
+        &mut self,
+        progress: &mut dyn FnMut(u32),
+        visit: &mut dyn FnMut(Replayed<'_>) -> bool,
+    ) -> Result<(), LogError> {
+        self.replay_all(progress, visit)
+    }
+}
+
+pub(super) fn count(count: usize) -> u64 {
+    u64::try_from(count).expect("a count fits 64 bits")
+}
+
+/// What to tell about an end that is gone.
+fn notices(
+    write_ahead: WriteAhead,
+    acknowledged: Option<Mark>,
+    generation: u64,
+    seq: Seq,
+) -> Vec<String> {
+    let mut notices = Vec::new();
+    if let WriteAhead::Torn { frames, bytes } = write_ahead {
+        notices.push(format!(
+            "the end of SQLite's write-ahead file is no whole change and was cut off ({frames} frames, {bytes} bytes); the scene stands at seq {}",
+            seq.0
+        ));
+    }
+    match acknowledged {
+        None => notices.push(format!(
+            "the file \"acknowledged\" is missing or damaged, so it cannot be told whether later changes were lost; the scene stands at seq {}",
+            seq.0
+        )),
+        Some(mark) if mark.seq > seq => notices.push(format!(
+            "changes {} to {} were acknowledged and are lost with the end of SQLite's write-ahead file; the scene stands at seq {}",
+            seq.0 + 1,
+            mark.seq.0,
+            seq.0
+        )),
+        Some(mark) if mark.generation > generation => notices.push(format!(
+            "the end of SQLite's write-ahead file is lost, but no change with it; the scene stands at seq {}",
+            seq.0
+        )),
+        Some(_) => {}
+    }
+    notices
+}

@@ -1,0 +1,623 @@
+//! The tables of a scene's database: their columns, and the CRC that each row carries.
+//!
+//! Knows rows, one at a time; which rows there must be is known by `scene` and `replay`. Every row is sealed with its
+//! table's name and the scene's incarnation, so that no row passes for one of another table or scene. All rows but the head are never
+//! changed once written, so a row that is there and sealed is right.
+//!
+//! ```text
+//! head        1 row, part of every transaction: which rows there must be
+//! meta        1 row: what was fixed when the scene was created
+//! changes     seq -> time, counts, totals         kept as long as the history is
+//! operations  seq -> cubes deleted and inserted   kept until a snapshot makes them superfluous
+//! snapshots   number -> seq, time, totals, ...    one, or none yet
+//! chunks      number << 16 | index -> up to 65,536 cubes
+//! keys        number -> idempotency key and its answer
+//! ```
+
+use rusqlite::types::ValueRef;
+use rusqlite::{Connection, Row, params};
+
+use super::codec::{self, Malformed, Reader};
+use super::{Answer, Header, HistoryRow, KeyRecord, Seq};
+use crate::geometry::{CubeId, Totals};
+
+/// Every table, as the schema has it word for word. The head is first and its one page low, so that a checkpoint, which writes pages
+/// in their order, moves it before any row.
+pub(super) const TABLES: [(&str, &str); 7] = [
+    (
+        "head",
+        "CREATE TABLE head(one INTEGER PRIMARY KEY, generation INTEGER NOT NULL, seq INTEGER NOT NULL, \
+         changes_first INTEGER NOT NULL, operations_first INTEGER NOT NULL, operations_bytes INTEGER NOT NULL, \
+         operations_cubes INTEGER NOT NULL, snapshot INTEGER NOT NULL, snapshots_begun INTEGER NOT NULL, \
+         keys_first INTEGER NOT NULL, keys_next INTEGER NOT NULL, crc INTEGER NOT NULL) STRICT",
+    ),
+    (
+        "meta",
+        "CREATE TABLE meta(one INTEGER PRIMARY KEY, incarnation INTEGER NOT NULL, edge_steps INTEGER NOT NULL, \
+         settings TEXT NOT NULL, created_ms INTEGER NOT NULL, crc INTEGER NOT NULL) STRICT",
+    ),
+    (
+        "changes",
+        "CREATE TABLE changes(seq INTEGER PRIMARY KEY, at_ms INTEGER NOT NULL, inserted INTEGER NOT NULL, \
+         deleted INTEGER NOT NULL, totals BLOB NOT NULL, crc INTEGER NOT NULL) STRICT",
+    ),
+    (
+        "operations",
+        "CREATE TABLE operations(seq INTEGER PRIMARY KEY, cubes BLOB NOT NULL, crc INTEGER NOT NULL) STRICT",
+    ),
+    (
+        "snapshots",
+        "CREATE TABLE snapshots(number INTEGER PRIMARY KEY, seq INTEGER NOT NULL, at_ms INTEGER NOT NULL, \
+         totals BLOB NOT NULL, next_id INTEGER NOT NULL, cubes INTEGER NOT NULL, chunks INTEGER NOT NULL, \
+         operations_bytes INTEGER NOT NULL, operations_cubes INTEGER NOT NULL, crc INTEGER NOT NULL) STRICT",
+    ),
+    (
+        "chunks",
+        "CREATE TABLE chunks(id INTEGER PRIMARY KEY, count INTEGER NOT NULL, cubes BLOB NOT NULL, crc INTEGER NOT NULL) STRICT",
+    ),
+    (
+        "keys",
+        "CREATE TABLE keys(number INTEGER PRIMARY KEY, key TEXT NOT NULL, body BLOB NOT NULL, answer BLOB NOT NULL, \
+         crc INTEGER NOT NULL) STRICT",
+    ),
+];
+
+/// What makes this scene's CRCs its own.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Seal {
+    pub(super) incarnation: u64,
+}
+
+impl Seal {
+    /// Begins the CRC of a row of `table`.
+    fn row(self, table: &str) -> Crc {
+        let mut crc = Crc(crc32fast::Hasher::new());
+        crc.number(self.incarnation).bytes(table.as_bytes());
+        crc
+    }
+}
+
+/// Everything is preceded by its length or has a fixed one, so that no two rows give the same bytes.
+struct Crc(crc32fast::Hasher);
+
+impl Crc {
+    fn number(&mut self, number: u64) -> &mut Self {
+        self.0.update(&number.to_le_bytes());
+        self
+    }
+
+    fn bytes(&mut self, bytes: &[u8]) -> &mut Self {
+        self.number(u64::try_from(bytes.len()).expect("a length fits 64 bits"));
+        self.0.update(bytes);
+        self
+    }
+
+    fn finish(&self) -> u32 {
+        self.0.clone().finalize()
+    }
+
+    fn check(&self, found: u64) -> Result<(), Malformed> {
+        if u64::from(self.finish()) == found {
+            Ok(())
+        } else {
+            Err(Malformed("its CRC is wrong"))
+        }
+    }
+}
+
+/// The columns of a row that may be damaged.
+struct Columns<'a>(&'a Row<'a>);
+
+impl<'a> Columns<'a> {
+    fn value(&self, index: usize) -> Result<ValueRef<'a>, Malformed> {
+        self.0
+            .get_ref(index)
+            .map_err(|_| Malformed("a column is missing"))
+    }
+
+    /// SQLite's integers are signed; ours are the same 64 bits unsigned.
+    fn number(&self, index: usize) -> Result<u64, Malformed> {
+        match self.value(index)? {
+            ValueRef::Integer(number) => Ok(number.cast_unsigned()),
+            _ => Err(Malformed("a column is not a number")),
+        }
+    }
+
+    fn blob(&self, index: usize) -> Result<&'a [u8], Malformed> {
+        match self.value(index)? {
+            ValueRef::Blob(bytes) => Ok(bytes),
+            _ => Err(Malformed("a column is not a blob")),
+        }
+    }
+
+    fn text(&self, index: usize) -> Result<&'a str, Malformed> {
+        match self.value(index)? {
+            ValueRef::Text(bytes) => {
+                std::str::from_utf8(bytes).map_err(|_| Malformed("a text is not UTF-8"))
+            }
+            _ => Err(Malformed("a column is not text")),
+        }
+    }
+}
+
+/// Which rows there must be. Changed by every transaction.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) struct Head {
+    /// Transactions so far.
+    pub(super) generation: u64,
+    /// Newest change.
+    pub(super) seq: Seq,
+    /// `changes` holds exactly this to `seq`.
+    pub(super) changes_first: u64,
+    /// `operations` holds exactly this to `seq`.
+    pub(super) operations_first: u64,
+    /// Bytes of all operations since the scene was created, dropped ones too.
+    pub(super) operations_bytes: u64,
+    /// Cubes of all operations since the scene was created.
+    pub(super) operations_cubes: u64,
+    /// The snapshot to replay from; 0 for none.
+    pub(super) snapshot: u64,
+    /// Number of the last snapshot begun.
+    pub(super) snapshots_begun: u64,
+    /// `keys` holds exactly this ...
+    pub(super) keys_first: u64,
+    /// ... to the one before this.
+    pub(super) keys_next: u64,
+}
+
+impl Head {
+    pub(super) const NEW: Self = Self {
+        generation: 0,
+        seq: Seq(0),
+        changes_first: 1,
+        operations_first: 1,
+        operations_bytes: 0,
+        operations_cubes: 0,
+        snapshot: 0,
+        snapshots_begun: 0,
+        keys_first: 0,
+        keys_next: 0,
+    };
+
+    fn numbers(&self) -> [u64; 10] {
+        [
+            self.generation,
+            self.seq.0,
+            self.changes_first,
+            self.operations_first,
+            self.operations_bytes,
+            self.operations_cubes,
+            self.snapshot,
+            self.snapshots_begun,
+            self.keys_first,
+            self.keys_next,
+        ]
+    }
+
+    fn crc(&self, seal: Seal) -> Crc {
+        let mut crc = seal.row("head");
+        for number in self.numbers() {
+            crc.number(number);
+        }
+        crc
+    }
+
+    pub(super) fn write(&self, connection: &Connection, seal: Seal) -> rusqlite::Result<()> {
+        let numbers = self.numbers().map(u64::cast_signed);
+        let [a, b, c, d, e, f, g, h, i, j] = numbers;
+        connection
+            .prepare_cached("REPLACE INTO head VALUES(1, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)")?
+            .execute(params![
+                a,
+                b,
+                c,
+                d,
+                e,
+                f,
+                g,
+                h,
+                i,
+                j,
+                self.crc(seal).finish()
+            ])?;
+        Ok(())
+    }
+
+    pub(super) fn read(
+        connection: &Connection,
+        seal: Seal,
+    ) -> rusqlite::Result<Result<Self, Malformed>> {
+        connection
+            .prepare_cached("SELECT * FROM head WHERE one = 1")?
+            .query_row([], |row| Ok(Self::parse(row, seal)))
+    }
+
+    fn parse(row: &Row<'_>, seal: Seal) -> Result<Self, Malformed> {
+        let columns = Columns(row);
+        let head = Self {
+            generation: columns.number(1)?,
+            seq: Seq(columns.number(2)?),
+            changes_first: columns.number(3)?,
+            operations_first: columns.number(4)?,
+            operations_bytes: columns.number(5)?,
+            operations_cubes: columns.number(6)?,
+            snapshot: columns.number(7)?,
+            snapshots_begun: columns.number(8)?,
+            keys_first: columns.number(9)?,
+            keys_next: columns.number(10)?,
+        };
+        head.crc(seal).check(columns.number(11)?)?;
+        Ok(head)
+    }
+}
+
+/// What was fixed at creation, and when that was.
+#[derive(Clone, Debug)]
+pub(super) struct Meta {
+    pub(super) header: Header,
+    pub(super) created_ms: u64,
+}
+
+impl Meta {
+    pub(super) fn seal(&self) -> Seal {
+        Seal {
+            incarnation: self.header.incarnation,
+        }
+    }
+
+    fn crc(&self) -> Crc {
+        let mut crc = self.seal().row("meta");
+        crc.number(u64::from(self.header.edge_steps))
+            .bytes(self.header.settings.as_bytes())
+            .number(self.created_ms);
+        crc
+    }
+
+    pub(super) fn insert(&self, connection: &Connection) -> rusqlite::Result<()> {
+        connection.execute(
+            "INSERT INTO meta VALUES(1, ?, ?, ?, ?, ?)",
+            params![
+                self.header.incarnation.cast_signed(),
+                self.header.edge_steps,
+                self.header.settings,
+                self.created_ms.cast_signed(),
+                self.crc().finish()
+            ],
+        )?;
+        Ok(())
+    }
+
+    pub(super) fn read(connection: &Connection) -> rusqlite::Result<Result<Self, Malformed>> {
+        connection.query_row("SELECT * FROM meta WHERE one = 1", [], |row| {
+            Ok(Self::parse(row))
+        })
+    }
+
+    fn parse(row: &Row<'_>) -> Result<Self, Malformed> {
+        let columns = Columns(row);
+        let meta = Self {
+            header: Header {
+                incarnation: columns.number(1)?,
+                edge_steps: u32::try_from(columns.number(2)?)
+                    .map_err(|_| Malformed("its edge is out of range"))?,
+                settings: columns.text(3)?.to_owned(),
+            },
+            created_ms: columns.number(4)?,
+        };
+        meta.crc().check(columns.number(5)?)?;
+        Ok(meta)
+    }
+}
+
+/// Rows of `changes` are [`HistoryRow`]s.
+pub(super) struct Changes;
+
+impl Changes {
+    /// Columns that [`Self::parse`] reads first in a row.
+    pub(super) const COLUMNS: &str = "changes.seq, changes.at_ms, changes.inserted, changes.deleted, changes.totals, changes.crc";
+    pub(super) const COLUMN_COUNT: usize = 6;
+
+    fn crc(seal: Seal, [seq, at_ms, inserted, deleted]: [u64; 4], totals: &[u8]) -> Crc {
+        let mut crc = seal.row("changes");
+        crc.number(seq)
+            .number(at_ms)
+            .number(inserted)
+            .number(deleted)
+            .bytes(totals);
+        crc
+    }
+
+    pub(super) fn insert(
+        connection: &Connection,
+        seal: Seal,
+        row: &HistoryRow,
+        totals: &[u8],
+    ) -> rusqlite::Result<()> {
+        let numbers = [row.seq.0, row.at_ms, row.inserted, row.deleted];
+        let crc = Self::crc(seal, numbers, totals).finish();
+        let [seq, at_ms, inserted, deleted] = numbers.map(u64::cast_signed);
+        connection
+            .prepare_cached("INSERT INTO changes VALUES(?, ?, ?, ?, ?, ?)")?
+            .execute(params![seq, at_ms, inserted, deleted, totals, crc])?;
+        Ok(())
+    }
+
+    pub(super) fn parse(row: &Row<'_>, seal: Seal) -> Result<HistoryRow, Malformed> {
+        let columns = Columns(row);
+        let [seq, at_ms, inserted, deleted] = [
+            columns.number(0)?,
+            columns.number(1)?,
+            columns.number(2)?,
+            columns.number(3)?,
+        ];
+        let totals = columns.blob(4)?;
+        Self::crc(seal, [seq, at_ms, inserted, deleted], totals).check(columns.number(5)?)?;
+        Ok(HistoryRow {
+            seq: Seq(seq),
+            at_ms,
+            inserted,
+            deleted,
+            totals: codec::totals(totals)?,
+        })
+    }
+}
+
+/// Rows of a number and packed cubes: `operations` and `chunks`.
+pub(super) struct Packed<'a> {
+    pub(super) number: u64,
+    pub(super) cubes: &'a [u8],
+}
+
+impl<'a> Packed<'a> {
+    fn crc(&self, seal: Seal, table: &str) -> Crc {
+        let mut crc = seal.row(table);
+        crc.number(self.number).bytes(self.cubes);
+        crc
+    }
+
+    pub(super) fn insert_operations(
+        &self,
+        connection: &Connection,
+        seal: Seal,
+    ) -> rusqlite::Result<()> {
+        let crc = self.crc(seal, "operations").finish();
+        connection
+            .prepare_cached("INSERT INTO operations VALUES(?, ?, ?)")?
+            .execute(params![self.number.cast_signed(), self.cubes, crc])?;
+        Ok(())
+    }
+
+    /// The columns seq, cubes, crc of `operations` from `first` on.
+    pub(super) fn operations(
+        row: &'a Row<'a>,
+        first: usize,
+        seal: Seal,
+    ) -> Result<Self, Malformed> {
+        let columns = Columns(row);
+        let packed = Self {
+            number: columns.number(first)?,
+            cubes: columns.blob(first + 1)?,
+        };
+        packed
+            .crc(seal, "operations")
+            .check(columns.number(first + 2)?)?;
+        Ok(packed)
+    }
+
+    pub(super) fn insert_chunk(
+        &self,
+        connection: &Connection,
+        seal: Seal,
+        count: u64,
+    ) -> rusqlite::Result<()> {
+        let crc = self.crc(seal, "chunks").number(count).finish();
+        connection
+            .prepare_cached("INSERT INTO chunks VALUES(?, ?, ?, ?)")?
+            .execute(params![
+                self.number.cast_signed(),
+                count.cast_signed(),
+                self.cubes,
+                crc
+            ])?;
+        Ok(())
+    }
+
+    /// A whole row of `chunks`, and how many cubes it says it has.
+    pub(super) fn chunk(row: &'a Row<'a>, seal: Seal) -> Result<(Self, u64), Malformed> {
+        let columns = Columns(row);
+        let packed = Self {
+            number: columns.number(0)?,
+            cubes: columns.blob(2)?,
+        };
+        let count = columns.number(1)?;
+        packed
+            .crc(seal, "chunks")
+            .number(count)
+            .check(columns.number(3)?)?;
+        Ok((packed, count))
+    }
+}
+
+/// A row of `snapshots`: there only once all its chunks are.
+#[derive(Clone, Debug)]
+pub(super) struct Snapshot {
+    pub(super) number: u64,
+    pub(super) seq: Seq,
+    pub(super) at_ms: u64,
+    pub(super) totals: Totals,
+    pub(super) next_id: u64,
+    pub(super) cubes: u64,
+    pub(super) chunks: u64,
+    /// [`Head::operations_bytes`] when it was begun.
+    pub(super) operations_bytes: u64,
+    /// [`Head::operations_cubes`] when it was begun.
+    pub(super) operations_cubes: u64,
+}
+
+/// How many chunks a snapshot can have: more than 2^31 cubes fill.
+pub(super) const CHUNKS_MAX: u64 = 1 << 16;
+
+impl Snapshot {
+    /// Number of the chunk at `index`.
+    pub(super) fn chunk(number: u64, index: u64) -> u64 {
+        number * CHUNKS_MAX + index
+    }
+
+    fn numbers(&self) -> [u64; 8] {
+        [
+            self.number,
+            self.seq.0,
+            self.at_ms,
+            self.next_id,
+            self.cubes,
+            self.chunks,
+            self.operations_bytes,
+            self.operations_cubes,
+        ]
+    }
+
+    fn crc(&self, seal: Seal, totals: &[u8]) -> Crc {
+        let mut crc = seal.row("snapshots");
+        for number in self.numbers() {
+            crc.number(number);
+        }
+        crc.bytes(totals);
+        crc
+    }
+
+    pub(super) fn insert(&self, connection: &Connection, seal: Seal) -> rusqlite::Result<()> {
+        let mut totals = Vec::new();
+        codec::put_totals(&mut totals, &self.totals);
+        let crc = self.crc(seal, &totals).finish();
+        let [
+            number,
+            seq,
+            at_ms,
+            next_id,
+            cubes,
+            chunks,
+            bytes,
+            operations,
+        ] = self.numbers().map(u64::cast_signed);
+        connection.execute(
+            "INSERT INTO snapshots VALUES(?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+            params![
+                number, seq, at_ms, totals, next_id, cubes, chunks, bytes, operations, crc
+            ],
+        )?;
+        Ok(())
+    }
+
+    pub(super) fn parse(row: &Row<'_>, seal: Seal) -> Result<Self, Malformed> {
+        let columns = Columns(row);
+        let totals = columns.blob(3)?;
+        let snapshot = Self {
+            number: columns.number(0)?,
+            seq: Seq(columns.number(1)?),
+            at_ms: columns.number(2)?,
+            totals: codec::totals(totals)?,
+            next_id: columns.number(4)?,
+            cubes: columns.number(5)?,
+            chunks: columns.number(6)?,
+            operations_bytes: columns.number(7)?,
+            operations_cubes: columns.number(8)?,
+        };
+        snapshot.crc(seal, totals).check(columns.number(9)?)?;
+        Ok(snapshot)
+    }
+}
+
+/// Rows of `keys` are [`KeyRecord`]s with a number.
+pub(super) struct Keys;
+
+impl Keys {
+    fn crc(seal: Seal, number: u64, key: &str, body: &[u8], answer: &[u8]) -> Crc {
+        let mut crc = seal.row("keys");
+        crc.number(number)
+            .bytes(key.as_bytes())
+            .bytes(body)
+            .bytes(answer);
+        crc
+    }
+
+    pub(super) fn insert(
+        connection: &Connection,
+        seal: Seal,
+        number: u64,
+        record: &KeyRecord,
+    ) -> rusqlite::Result<()> {
+        let mut answer = Vec::new();
+        put_answer(&mut answer, &record.answer);
+        let crc = Self::crc(seal, number, &record.key, &record.body, &answer).finish();
+        connection
+            .prepare_cached("INSERT INTO keys VALUES(?, ?, ?, ?, ?)")?
+            .execute(params![
+                number.cast_signed(),
+                &*record.key,
+                record.body,
+                answer,
+                crc
+            ])?;
+        Ok(())
+    }
+
+    pub(super) fn parse(row: &Row<'_>, seal: Seal) -> Result<(u64, KeyRecord), Malformed> {
+        let columns = Columns(row);
+        let number = columns.number(0)?;
+        let (key, body, answer) = (columns.text(1)?, columns.blob(2)?, columns.blob(3)?);
+        Self::crc(seal, number, key, body, answer).check(columns.number(4)?)?;
+        let record = KeyRecord {
+            key: key.into(),
+            body: body
+                .try_into()
+                .map_err(|_| Malformed("its hash has another length"))?,
+            answer: take_answer(answer)?,
+        };
+        Ok((number, record))
+    }
+}
+
+const ANSWER_VERSION: u8 = 1;
+
+fn put_answer(to: &mut Vec<u8>, answer: &Answer) {
+    to.push(ANSWER_VERSION);
+    for number in [
+        answer.seq.0,
+        answer.at_ms,
+        answer.inserted,
+        answer.deleted,
+        answer.unchanged,
+    ] {
+        codec::put_varint(to, number);
+    }
+    if let Some((first, last)) = answer.assigned {
+        to.push(1);
+        codec::put_varint(to, first.0);
+        codec::put_varint(to, last.0);
+    } else {
+        to.push(0);
+    }
+    codec::put_totals(to, &answer.totals);
+}
+
+fn take_answer(bytes: &[u8]) -> Result<Answer, Malformed> {
+    let mut reader = Reader(bytes);
+    if reader.byte()? != ANSWER_VERSION {
+        return Err(Malformed("an answer of an unknown version"));
+    }
+    let answer = Answer {
+        seq: Seq(reader.varint()?),
+        at_ms: reader.varint()?,
+        inserted: reader.varint()?,
+        deleted: reader.varint()?,
+        unchanged: reader.varint()?,
+        assigned: match reader.byte()? {
+            0 => None,
+            1 => Some((CubeId(reader.varint()?), CubeId(reader.varint()?))),
+            _ => return Err(Malformed("ids that are neither given nor not")),
+        },
+        totals: codec::take_totals(&mut reader)?,
+    };
+    reader.finish()?;
+    Ok(answer)
+}
