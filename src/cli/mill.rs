@@ -115,7 +115,7 @@ async fn mill(
     let step = args.step.unwrap_or(args.edge / STEPS_PER_EDGE);
     if step * f64::from(args.steps_per_unit) < LATTICE_STEPS_MIN {
         return Err(format!(
-            "--step {step} is less than {LATTICE_STEPS_MIN} lattice steps, to which positions are rounded: take a longer one, or more --steps-per-unit"
+            "--step {step:?} is less than {LATTICE_STEPS_MIN} lattice steps, to which positions are rounded: take a longer one, or more --steps-per-unit"
         )
         .into());
     }
