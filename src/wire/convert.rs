@@ -374,11 +374,15 @@ fn edge_steps(edge: f64, steps_per_unit: u32) -> Result<Edge, InvalidSetting> {
 /// The whole number that a float is; none for fractions, NaN, and beyond 2^53.
 fn whole(number: f64) -> Option<i64> {
     const EXACT_MAX: f64 = 9_007_199_254_740_992.0;
+    if !(number.abs() <= EXACT_MAX && number.fract() == 0.0) {
+        return None;
+    }
     #[expect(
         clippy::cast_possible_truncation,
         reason = "a whole number of at most 2^53"
     )]
-    (number.abs() <= EXACT_MAX && number.fract() == 0.0).then(|| number as i64)
+    let integer = number as i64;
+    Some(integer)
 }
 
 /// The float nearest to an integer.

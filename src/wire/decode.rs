@@ -260,26 +260,21 @@ pub fn settings(body: &[u8]) -> Result<Settings, Problem> {
     if members.get("edge").is_none() {
         faults.push(Fault::at("/edge".to_owned(), "is missing", None));
     }
-    let mut take = |name: &str, read: &mut dyn FnMut(&RawValue) -> Result<(), &'static str>| {
-        if let Some(raw) = members.get(name)
-            && let Err(detail) = read(raw)
-        {
-            faults.push(Fault::at(format!("/{name}"), detail, Some(raw)));
-        }
+    let mut read = Fields {
+        members: &members,
+        faults: &mut faults,
     };
-    take("edge", &mut |raw| Ok(wanted.edge = number(raw)?));
-    take("steps_per_unit", &mut |raw| {
-        Ok(wanted.steps_per_unit = number(raw)?)
+    read.take("edge", &mut wanted.edge, number);
+    read.take("steps_per_unit", &mut wanted.steps_per_unit, number);
+    read.take("density", &mut wanted.density, number);
+    read.take("unit", &mut wanted.unit, |raw| {
+        typed(raw, "is not a string")
     });
-    take("density", &mut |raw| Ok(wanted.density = number(raw)?));
-    take("unit", &mut |raw| {
-        Ok(wanted.unit = typed(raw, "is not a string")?)
+    read.take("anchor", &mut wanted.anchor, |raw| {
+        typed(raw, "is neither \"corner\" nor \"center\"")
     });
-    take("anchor", &mut |raw| {
-        Ok(wanted.anchor = typed(raw, "is neither \"corner\" nor \"center\"")?)
-    });
-    take("rounding", &mut |raw| {
-        Ok(wanted.rounding = typed(raw, "is neither \"nearest\" nor \"reject\"")?)
+    read.take("rounding", &mut wanted.rounding, |raw| {
+        typed(raw, "is neither \"nearest\" nor \"reject\"")
     });
     match Settings::check(wanted) {
         Ok(settings) if faults.is_empty() => return Ok(settings),
@@ -470,11 +465,12 @@ impl From<Unreadable> for Problem {
 fn readable(body: &[u8]) -> Result<Cow<'_, str>, Unreadable> {
     let text = std::str::from_utf8(body).map_err(|error| {
         let before = &body[..error.valid_up_to()];
-        let lines = before.split(|byte| *byte == b'\n');
+        let line_ends = before.iter().filter(|byte| **byte == b'\n');
+        let line = before.rsplit(|byte| *byte == b'\n').next();
         Unreadable {
             message: "a byte that is not UTF-8".to_owned(),
-            line: lines.clone().count(),
-            column: lines.last().map_or(0, <[u8]>::len) + 1,
+            line: line_ends.count() + 1,
+            column: line.map_or(0, <[u8]>::len) + 1,
         }
     })?;
     let Err(error) = parse(text) else {
@@ -575,6 +571,31 @@ impl<'a> Members<'a> {
             .iter()
             .find(|(known, _)| *known == name)
             .map(|(_, raw)| *raw)
+    }
+}
+
+/// Takes values out of members, one by one.
+struct Fields<'a> {
+    members: &'a Members<'a>,
+    faults: &'a mut Faults,
+}
+
+impl Fields<'_> {
+    /// Sets `to`, if the member is there and can be read.
+    fn take<T>(
+        &mut self,
+        name: &str,
+        to: &mut T,
+        read: impl Fn(&RawValue) -> Result<T, &'static str>,
+    ) {
+        match self.members.get(name).map(|raw| (raw, read(raw))) {
+            None => {}
+            Some((_, Ok(value))) => *to = value,
+            Some((raw, Err(detail))) => {
+                let fault = Fault::at(format!("/{name}"), detail, Some(raw));
+                self.faults.push(fault);
+            }
+        }
     }
 }
 

@@ -313,8 +313,7 @@ impl From<ServiceError> for Problem {
             ServiceError::NoSuchScene(_) => problem(Code::NoSuchScene),
             ServiceError::SceneExists { settings, .. } => {
                 // The text is JSON that this module's neighbour wrote; were it not, it is shown as it is.
-                let settings =
-                    serde_json::from_str(&settings).unwrap_or_else(|_| Value::String(settings));
+                let settings = serde_json::from_str(&settings).unwrap_or(Value::String(settings));
                 problem(Code::SceneExists).with("settings", settings)
             }
             ServiceError::Recovering { percent } => {

@@ -70,7 +70,9 @@ type Route = (&'static str, MethodRouter<App>);
 
 /// Calls that are answered soon or not at all.
 fn bounded_routes() -> Vec<Route> {
-    use {operate::*, reads::*, scenes::*};
+    use operate::{get_healthz, get_metrics, get_openapi, get_problem, get_problems, get_readyz};
+    use reads::{get_contains, get_cube, get_cubes, get_history, get_mass_properties};
+    use scenes::{delete_scene, get_scene, get_scenes, put_scene};
     vec![
         ("/v1/scenes", get(get_scenes)),
         (
@@ -213,6 +215,7 @@ async fn problems_only(request: Request, next: Next) -> Response {
     .into_response()
 }
 
+#[expect(clippy::needless_pass_by_value, reason = "the layer's signature")]
 fn panicked(cause: Box<dyn Any + Send + 'static>) -> Response {
     let text = cause
         .downcast_ref::<String>()

@@ -97,13 +97,11 @@ pub(super) async fn apply(
         }
         quiet_since = Instant::now();
     }
-    match end {
-        Some(Err(problem)) => Err(sums.stopped(scene, lines.number + 1, problem)),
-        _ => {
-            let published = sums.published.map_or_else(|| scene.published(), Ok)?;
-            Ok((published, sums.counts))
-        }
+    if let Some(Err(problem)) = end {
+        return Err(sums.stopped(scene, lines.number + 1, problem));
     }
+    let published = sums.published.map_or_else(|| scene.published(), Ok)?;
+    Ok((published, sums.counts))
 }
 
 /// Operations with the numbers of their lines.

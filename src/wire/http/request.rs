@@ -248,11 +248,9 @@ pub(super) async fn within<T>(
     time: Duration,
     work: impl Future<Output = Result<T, Problem>>,
 ) -> Result<T, Problem> {
-    match tokio::time::timeout(time, work).await {
-        Ok(done) => done,
-        Err(_) => {
-            let detail = format!("there was no answer within {} s", time.as_secs_f64());
-            Err(Problem::new(Code::AnswerTimeout, detail))
-        }
-    }
+    let Ok(done) = tokio::time::timeout(time, work).await else {
+        let detail = format!("there was no answer within {} s", time.as_secs_f64());
+        return Err(Problem::new(Code::AnswerTimeout, detail));
+    };
+    done
 }
