@@ -18,6 +18,11 @@
 //! # Source
 //! The local formulas are UNION3's (W. R. Franklin); evaluated once a cube instead of once a grid cell.
 
+#![expect(
+    clippy::inline_always,
+    reason = "what is inlined into a leaf is compiled for the leaf's instructions; left as a call it would not be"
+)]
+
 use ethnum::I256;
 
 use crate::geometry::{Edge, Measures, Place, WEIGHTS};
