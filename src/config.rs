@@ -42,7 +42,7 @@ pub struct ServeConfig {
     pub history_changes_max: NonZeroU64,
     /// Newest idempotency keys kept, per scene.
     pub idempotency_keys_max: NonZeroU64,
-    /// Seconds until a request that is not a stream is given up.
+    /// Seconds that a body may take to arrive, and an answer to be made; of a stream, how long it may pause.
     pub request_timeout_seconds: NonZeroU64,
     /// Seconds that `?wait=` waits.
     pub wait_seconds_max: NonZeroU64,
@@ -89,7 +89,7 @@ pub struct ServeFlags {
     #[arg(long, value_name = "COUNT")]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub idempotency_keys_max: Option<NonZeroU64>,
-    /// Seconds until a request that is not a stream is given up [default: 60]
+    /// Seconds that a body may take to arrive, and an answer to be made; of a stream, how long it may pause [default: 30]
     #[arg(long, value_name = "SECONDS")]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub request_timeout_seconds: Option<NonZeroU64>,
@@ -133,7 +133,7 @@ impl Default for ServeConfig {
             change_cubes_max: count(1_000_000),
             history_changes_max: whole(10_000_000),
             idempotency_keys_max: whole(100_000),
-            request_timeout_seconds: whole(60),
+            request_timeout_seconds: whole(30),
             wait_seconds_max: whole(10),
             probe_interval_seconds: whole(1),
             log_format: LogFormat::Text,

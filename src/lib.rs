@@ -4,4 +4,5 @@ pub mod engine;
 pub mod geometry;
 pub mod log;
 pub mod service;
+pub mod toolpath;
 pub mod wire;

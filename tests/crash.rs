@@ -2,8 +2,8 @@
 //! half there, and the totals equal a recount.
 
 use std::collections::BTreeMap;
-use std::io::{BufRead, BufReader};
-use std::path::Path;
+use std::io::{BufRead, BufReader, Write};
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -24,13 +24,27 @@ struct Server {
 
 impl Server {
     fn start(data: &Path) -> Self {
-        let mut process = Command::new(env!("CARGO_BIN_EXE_union3d"))
+        Self::spawn(Command::new(env!("CARGO_BIN_EXE_union3d")), data)
+    }
+
+    /// On a file system of its own of this many MiB, which nobody else sees.
+    fn start_on_small_disk(mount: &Path, mebibytes: u32) -> Self {
+        let mut command = Command::new("unshare");
+        command.args(["--map-root-user", "--mount", "sh", "-c"]);
+        command.arg(r#"mount -t tmpfs -o "size=$1" tmpfs "$2" && shift 2 && exec "$@""#);
+        command.args(["sh", &format!("{mebibytes}m")]).arg(mount);
+        command.arg(env!("CARGO_BIN_EXE_union3d"));
+        Self::spawn(command, &mount.join("data"))
+    }
+
+    fn spawn(mut command: Command, data: &Path) -> Self {
+        let mut process = command
             .args([
                 "serve",
                 "--http",
                 "127.0.0.1:0",
                 "--log-filter",
-                "warn",
+                "warn,tower_http=off",
                 "--data",
             ])
             .arg(data)
@@ -46,6 +60,14 @@ impl Server {
             .expect(&line)
             .to_owned();
         Self { process, url }
+    }
+
+    /// A path as the server sees it.
+    fn path(&self, path: &Path) -> PathBuf {
+        Path::new("/proc")
+            .join(self.process.id().to_string())
+            .join("root")
+            .join(path.strip_prefix("/").unwrap())
     }
 
     /// SIGKILL, and wait until it is dead.
@@ -273,7 +295,7 @@ async fn a_retry_with_the_same_key_after_a_crash_is_done_once() {
     for kill in 0..10_u64 {
         let post = |server: &Server, number: u64| {
             http.post(server.scene("/changes?return=minimal"))
-                .header("idempotency-key", format!("number {number}"))
+                .header("idempotency-key", format!("number-{number}"))
                 .json(&json!({"insert": [{"at": at(number)}, {"at": at(number + 1)}]}))
                 .send()
         };
@@ -290,7 +312,7 @@ async fn a_retry_with_the_same_key_after_a_crash_is_done_once() {
         server.ready(&http).await;
         let again: Value = post(&server, done).await.unwrap().json().await.unwrap();
         done += 1;
-        assert_eq!(again["seq"], json!(done));
+        assert_eq!(again["seq"], json!(done), "{again}");
         assert_eq!(
             again["assigned"],
             json!({"first": 2 * done - 1, "last": 2 * done})
@@ -389,4 +411,115 @@ async fn a_second_server_on_the_same_data_is_refused_and_so_is_an_audit() {
     let none = run(&["audit", directory.path().to_str().unwrap()]);
     assert_eq!(none.status.code(), Some(1));
     assert!(!directory.path().join("lock").exists());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_full_disk_is_told_with_its_cause_and_heals_when_there_is_space() {
+    let directory = tempfile::tempdir().unwrap();
+    let http = Client::new();
+    let server = Server::start_on_small_disk(directory.path(), 24);
+    let settings = json!({"edge": 3, "steps_per_unit": 1});
+    let made = http
+        .put(server.scene(""))
+        .json(&settings)
+        .send()
+        .await
+        .unwrap();
+    assert_eq!(made.status(), StatusCode::CREATED);
+    let post = |generation: u64| {
+        let url = server.scene("/changes");
+        let sent = http.post(url).json(&change(1, generation)).send();
+        async move {
+            let answer = sent.await.unwrap();
+            (answer.status(), answer.json::<Value>().await.unwrap())
+        }
+    };
+    let filler = server.path(&directory.path().join("filler"));
+    let mut generation = 0;
+    for round in 0..3 {
+        for _ in 0..20 {
+            let (status, body) = post(generation + 1).await;
+            assert_eq!(status, StatusCode::OK, "{body}");
+            generation += 1;
+        }
+        // Byte by byte to the very end: a page of anything is too much then.
+        let mut file = std::fs::File::create(&filler).unwrap();
+        let mut size = 1 << 20;
+        while size > 0 {
+            if file.write_all(&vec![1; size]).is_err() {
+                size /= 2;
+            }
+        }
+        // SQLite may have room left in its own files for a while.
+        let deadline = Instant::now() + Duration::from_secs(60);
+        let (status, problem) = loop {
+            let (status, body) = post(generation + 1).await;
+            if status != StatusCode::OK {
+                break (status, body);
+            }
+            generation += 1;
+            assert!(Instant::now() < deadline, "the disk is never full");
+        };
+        let refusals = [
+            StatusCode::SERVICE_UNAVAILABLE,
+            StatusCode::INSUFFICIENT_STORAGE,
+        ];
+        assert!(refusals.contains(&status), "{status}: {problem}");
+        assert!(
+            problem["detail"]
+                .as_str()
+                .unwrap()
+                .contains("no space left"),
+            "{problem}"
+        );
+        // Readers hear the same; the server itself is well.
+        let read = http
+            .get(server.scene("/mass-properties"))
+            .send()
+            .await
+            .unwrap();
+        assert!(refusals.contains(&read.status()), "{read:?}");
+        let health = http
+            .get(format!("{}/healthz", server.url))
+            .send()
+            .await
+            .unwrap();
+        assert_eq!(health.status(), StatusCode::OK);
+
+        drop(file);
+        std::fs::remove_file(&filler).unwrap();
+        let deadline = Instant::now() + Duration::from_secs(60);
+        let now: Value = loop {
+            let read = http
+                .get(server.scene("/mass-properties"))
+                .send()
+                .await
+                .unwrap();
+            if read.status() == StatusCode::OK {
+                break read.json().await.unwrap();
+            }
+            assert!(
+                Instant::now() < deadline,
+                "round {round}: it never heals: {read:?}"
+            );
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        };
+        let found = cubes(&server, &http).await.remove(&1).unwrap();
+        let kept = [generation, generation + 1]
+            .into_iter()
+            .find(|&last| found == cubes_after(1, last));
+        generation = kept.expect("the change that failed is there whole or not at all");
+        assert_eq!(now["seq"], json!(generation));
+        let audit: Value = http
+            .post(server.scene("/audit"))
+            .send()
+            .await
+            .unwrap()
+            .json()
+            .await
+            .unwrap();
+        assert_eq!(audit["equal"], json!(true), "{audit}");
+    }
+    let (status, body) = post(generation + 1).await;
+    assert_eq!(status, StatusCode::OK, "{body}");
 }

@@ -19,13 +19,13 @@ struct Twins {
 }
 
 impl Twins {
-    /// One engine with bins of its own choice, one with fixed bins, one with wide sums.
+    /// One engine with bins of its own choice, one with fixed bins, one without special instructions and with wide sums.
     fn new(edge: i64, bin_shift: u32) -> Self {
         let edge = Edge::new(edge).unwrap();
         let engines = vec![
             Engine::new(edge),
             Engine::with_bins(edge, bin_shift),
-            Engine::with_wide_sums(edge),
+            Engine::plain(edge),
         ];
         Self {
             edge,

@@ -140,7 +140,7 @@ fn far_away_and_large_drain_to_zero() {
         let edge = Edge::new(steps).unwrap();
         let (low, high) = (-(1 << 30), (1 << 30) - steps);
         let mut narrow = Engine::new(edge);
-        let mut wide = Engine::with_wide_sums(edge);
+        let mut wide = Engine::plain(edge);
         let mut effect = Effect::default();
         for corner in 0..8 {
             for inwards in 0..4 {

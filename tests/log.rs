@@ -1,5 +1,6 @@
 //! The log against a plain map of cubes: whatever is appended, snapshotted, trimmed, reopened, cut or flipped, what comes back is
 //! what was appended, a whole earlier part of it that is announced as such, or a refusal.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -146,7 +147,9 @@ impl Model {
                 inserted: random.next(),
                 deleted: 3,
                 unchanged: 0,
-                assigned: (number % 2 == 0).then(|| (CubeId(random.next()), CubeId(u64::MAX))),
+                assigned: number
+                    .is_multiple_of(2)
+                    .then(|| (CubeId(random.next()), CubeId(u64::MAX))),
                 totals: self.totals(),
             },
         };
@@ -563,6 +566,7 @@ impl Crashed {
     }
 
     /// Opens the files with one of them changed, and holds what comes out against the promise. Answers its kind.
+    #[track_caller]
     fn judge(&self, data: &TempDir, name: &str, content: Option<&[u8]>) -> Outcome {
         let path = self.changed(data, name, content);
         let opened = catch_unwind(AssertUnwindSafe(|| reopen(&path, KEEP)));
@@ -614,30 +618,33 @@ impl Crashed {
                 assert!(!notices.is_empty(), "a key is gone without a word");
             }
         }
-        // It goes on from there.
+        if earlier {
+            Outcome::Earlier(log)
+        } else {
+            Outcome::Exact(log)
+        }
+    }
+
+    /// Whatever was damaged, what is appended afterwards is kept.
+    fn go_on(&self, mut log: SceneLog, data: &TempDir) {
         let mut model = Model {
-            states: self.model.states[..=usize::try_from(seq.0).unwrap()].to_vec(),
+            states: self.model.states[..=usize::try_from(log.seq().0).unwrap()].to_vec(),
             ..Model::default()
         };
         let record = model.random_record(&mut Random(1), 9);
         log.append(&[record], &[]).unwrap();
         drop(log);
-        let (log, cubes, notices) = reopen(&path, KEEP).unwrap();
+        let (log, cubes, notices) = reopen(&data.path().join("changed"), KEEP).unwrap();
         assert_eq!((log.seq(), &cubes), (Seq(model.seq()), model.cubes()));
         assert_eq!(notices, Vec::<String>::new(), "it is said once");
-        if earlier {
-            Outcome::Earlier
-        } else {
-            Outcome::Exact
-        }
     }
 }
 
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
+#[derive(Debug)]
 enum Outcome {
     Refused,
-    Earlier,
-    Exact,
+    Earlier(SceneLog),
+    Exact(SceneLog),
 }
 
 /// Four ways in which a crash can leave a scene.
@@ -684,21 +691,43 @@ fn crashed_scenes() -> Vec<Crashed> {
     scenes
 }
 
+/// How often what came out.
+#[derive(Default, Debug)]
+struct Tally {
+    refused: usize,
+    earlier: usize,
+    exact: usize,
+}
+
 /// Judges many changes of one file and tells what came out.
 fn judge_all(
     scene: &Crashed,
     file: &str,
     contents: impl Iterator<Item = Option<Vec<u8>>>,
-) -> BTreeMap<Outcome, usize> {
+) -> Tally {
     let data = directory();
-    let mut outcomes = BTreeMap::new();
-    for content in contents {
-        *outcomes
-            .entry(scene.judge(&data, file, content.as_deref()))
-            .or_default() += 1;
+    let mut tally = Tally::default();
+    for (number, content) in contents.enumerate() {
+        let log = match scene.judge(&data, file, content.as_deref()) {
+            Outcome::Refused => {
+                tally.refused += 1;
+                continue;
+            }
+            Outcome::Earlier(log) => {
+                tally.earlier += 1;
+                log
+            }
+            Outcome::Exact(log) => {
+                tally.exact += 1;
+                log
+            }
+        };
+        if number % 5 == 0 {
+            scene.go_on(log, &data);
+        }
     }
-    println!("{}, {file}: {outcomes:?}", scene.name);
-    outcomes
+    println!("{}, {file}: {tally:?}", scene.name);
+    tally
 }
 
 /// `count` copies of `bytes`, each with one byte flipped; half of them among the bytes that are not zero.
@@ -727,8 +756,7 @@ fn flipped_bytes_never_give_a_wrong_state() {
                 "scene.sqlite-wal" => 500,
                 _ => 60,
             };
-            let outcomes = judge_all(&scene, file, flips(bytes, count, 11));
-            let refused = outcomes.get(&Outcome::Refused).copied().unwrap_or(0);
+            let refused = judge_all(&scene, file, flips(bytes, count, 11)).refused;
             match &**file {
                 "scene.sqlite" | "scene.sqlite-wal" => assert!(refused > count / 10),
                 _ => assert_eq!(refused, 0, "nothing depends on {file}"),
@@ -758,16 +786,49 @@ fn cut_files_never_give_a_wrong_state() {
     for scene in crashed_scenes() {
         for (file, bytes) in &scene.files {
             let step = match &**file {
-                "scene.sqlite" => 509,
-                "scene.sqlite-wal" => 101,
+                "scene.sqlite" => 1021,
+                "scene.sqlite-wal" => 509,
                 _ => 7919,
             };
-            let page_ends = (0..=bytes.len() / 4120).map(|frame| 32 + frame * 4120);
-            let lengths = (0..bytes.len()).step_by(step).chain(page_ends);
+            let ends = (0..=bytes.len() / FRAME_SIZE).map(|frame| 32 + frame * FRAME_SIZE);
+            let lengths = (0..bytes.len()).step_by(step).chain(ends);
             let lengths = lengths.filter(|&length| length <= bytes.len());
             let cut = lengths.map(|length| Some(bytes[..length].to_vec()));
             judge_all(&scene, file, cut.chain([None]));
         }
+    }
+}
+
+/// SQLite's pages are of 4096 bytes.
+const FRAME_SIZE: usize = 24 + 4096;
+
+#[test]
+fn a_write_ahead_file_cut_anywhere_holds_the_whole_changes_before_the_cut() {
+    let data = directory();
+    let mut random = Random(5);
+    let (mut log, path) = create(&data, KEEP);
+    let mut model = Model::new();
+    let file = "scene.sqlite-wal";
+    let mut ends = vec![];
+    for _ in 0..3 {
+        log.append(&[model.random_record(&mut random, 6)], &[])
+            .unwrap();
+        ends.push(usize::try_from(fs::metadata(path.join(file)).unwrap().len()).unwrap());
+    }
+    let scene = Crashed::of("three changes", &path, &model);
+    let bytes = &scene.files[file];
+    let data = directory();
+    for length in (0..=bytes.len()).step_by(8) {
+        let log = match scene.judge(&data, file, Some(&bytes[..length])) {
+            Outcome::Refused => panic!("{length} bytes are refused"),
+            Outcome::Earlier(log) | Outcome::Exact(log) => log,
+        };
+        let whole = ends.iter().filter(|&&end| end <= length).count();
+        assert_eq!(
+            log.seq(),
+            Seq(u64::try_from(whole).unwrap()),
+            "{length} bytes"
+        );
     }
 }
 
@@ -800,18 +861,16 @@ fn the_write_ahead_file_is_refused_in_the_middle_and_cut_at_the_end() {
         flipped[at] ^= 0x10;
         scene.judge(&data, file, Some(&flipped))
     };
-    assert_eq!(judge_flip(17), Outcome::Refused, "the header");
-    assert_eq!(
-        judge_flip(32 + 2000),
-        Outcome::Refused,
-        "a page of the first change"
-    );
-    assert_eq!(judge_flip(32 + 9), Outcome::Refused, "a salt of it");
-    assert_eq!(
-        judge_flip(bytes.len() - 2000),
-        Outcome::Earlier,
-        "the last page"
-    );
+    for (what, at) in [
+        ("the header", 17),
+        ("a page of the first change", 32 + 2000),
+        ("a salt of it", 32 + 9),
+    ] {
+        assert!(matches!(judge_flip(at), Outcome::Refused), "{what}");
+    }
+    let last_page = judge_flip(bytes.len() - 2000);
+    assert!(matches!(last_page, Outcome::Earlier(_)));
+    drop(last_page);
     // What came after the last answer may be torn: nothing that was answered for is missing.
     let torn = [&bytes[..], &bytes[32..5000]].concat();
     let path = scene.changed(&data, file, Some(&torn));
@@ -822,6 +881,11 @@ fn the_write_ahead_file_is_refused_in_the_middle_and_cut_at_the_end() {
     );
     assert_eq!(notices.len(), 1, "nothing is said to be lost: {notices:?}");
     assert!(notices[0].contains("(2 frames, 4968 bytes)"), "{notices:?}");
+    drop(log);
+    let path = scene.changed(&data, "acknowledged", None);
+    let (_, cubes, notices) = reopen(&path, KEEP).unwrap();
+    assert_eq!(&cubes, scene.model.cubes());
+    assert!(notices[0].contains("cannot be told"), "{notices:?}");
 }
 
 #[test]

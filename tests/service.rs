@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use parking_lot::{Condvar, Mutex};
 use union3d::engine::{Counts, Op, Rejected, Side, recount};
 use union3d::geometry::{CubeId, Edge, Place, Totals};
-use union3d::log::LogError;
+use union3d::log::{Keep, Log, LogError, Replayed, SceneLog};
 use union3d::service::{
     Applied, Counting, FaultHook, FaultStep, Operations, Published, Readiness, Scene, SceneName,
     SceneState, Seq, Service, ServiceConfig, ServiceError, Submission,
@@ -391,11 +391,7 @@ async fn ids_of_the_server_end_with_the_last_u64() {
 #[tokio::test]
 async fn seqs_out_of_reach_are_told_apart() {
     let directory = tempfile::tempdir().unwrap();
-    let service = Service::start(ServiceConfig {
-        history_changes_max: 5,
-        ..config(directory.path())
-    })
-    .unwrap();
+    let service = start(directory.path());
     let scene = create(&service, "s").await;
     let empty = scene.published().unwrap();
     assert_eq!(scene.at(Seq(0)).await.unwrap(), empty);
@@ -1028,6 +1024,93 @@ async fn waiting_for_a_seq_ends_with_it_or_with_the_time() {
     let reached: Published = waits.await.unwrap().unwrap().unwrap();
     assert_eq!(reached, scene.published().unwrap());
     assert_eq!(reached.seq, Seq(2));
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_long_log_is_cut_by_a_snapshot_while_changes_go_on() {
+    const CUBES: usize = 10_000;
+    const KEPT: usize = 10;
+    let directory = tempfile::tempdir().unwrap();
+    let few = || ServiceConfig {
+        history_changes_max: KEPT as u64,
+        ..config(directory.path())
+    };
+    let service = Service::start(few()).unwrap();
+    let scene = create(&service, "s").await;
+    let mut random = Random(7);
+    let mut live: Vec<u64> = Vec::new();
+    let mut states = Vec::new();
+    let mut greatest = 0;
+    // Some 20 bytes a cube that do not compress: past what a log may be before a snapshot is due.
+    for _ in 0..60 {
+        let mut ops: Vec<Op> = live.drain(..).map(|id| Op::Delete(CubeId(id))).collect();
+        for _ in 0..CUBES {
+            let mut coordinate = || (random.next() >> 35).cast_signed() - (1 << 28);
+            let at = place(coordinate(), coordinate(), coordinate());
+            let id = random.next() >> 1;
+            greatest = greatest.max(id);
+            live.push(id);
+            ops.push(Op::Insert(CubeId(id), at));
+        }
+        states.push(scene.change(named(ops)).await.unwrap().published);
+    }
+    let last = *states.last().unwrap();
+    // Nobody asks for anything any more; the old totals go all the same.
+    let deadline = Instant::now() + Duration::from_secs(60);
+    loop {
+        match scene.at(Seq(1)).await {
+            Err(ServiceError::SeqNotKept {
+                seq: Seq(1),
+                oldest,
+            }) => {
+                assert!(oldest > Seq(1) && oldest <= last.seq);
+                break;
+            }
+            Ok(state) => assert_eq!(state, states[0]),
+            Err(error) => panic!("{error}"),
+        }
+        assert!(Instant::now() < deadline, "the history was never cut");
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    service.shutdown().await;
+    drop((scene, service));
+    let service = Service::start(few()).unwrap();
+    let scene = running(&service, "s");
+    assert_eq!(scene.published().unwrap(), last);
+    for state in &states[states.len() - KEPT..] {
+        assert_eq!(scene.at(state.seq).await.unwrap(), *state);
+    }
+    let (_, cubes) = scene.cubes().await.unwrap();
+    let found: BTreeSet<u64> = cubes.into_iter().map(|(id, _)| id.0).collect();
+    assert_eq!(found, live.into_iter().collect());
+    let next = scene
+        .change(numbered(vec![place(0, 0, 0)], None))
+        .await
+        .unwrap();
+    assert_eq!(next.assigned.unwrap().0, CubeId(greatest + 1));
+    let audit = scene.audit().await.unwrap();
+    assert_eq!(audit.kept, audit.recounted);
+    service.shutdown().await;
+    // It was replayed from a snapshot, not from the first change.
+    let keep = Keep {
+        history_changes_max: u64::MAX,
+        idempotency_keys_max: u64::MAX,
+    };
+    let (mut log, _) = SceneLog::open(&directory.path().join("data/scenes/s"), keep).unwrap();
+    let mut changes = 0;
+    let mut snapshot = None;
+    log.replay(&mut |_| (), &mut |step| {
+        match step {
+            Replayed::Cubes(_) => {}
+            Replayed::SnapshotEnd { seq, totals, .. } => snapshot = Some((seq, *totals)),
+            Replayed::Change(_) => changes += 1,
+        }
+        true
+    })
+    .unwrap();
+    let (seq, totals) = snapshot.expect("the log was long enough for a snapshot");
+    assert_eq!(totals, states[usize::try_from(seq.0).unwrap() - 1].totals);
+    assert_eq!(seq.0 + changes, last.seq.0 + 1);
 }
 
 #[tokio::test]

@@ -1,9 +1,14 @@
 //! The subcommands: each a file with its arguments and a `run`.
 
 mod audit;
+mod client;
+mod cutter;
 mod demo;
+mod input;
 mod measure;
 mod mill;
+mod progress;
+mod report;
 mod serve;
 
 use std::process::ExitCode;
@@ -21,17 +26,13 @@ struct Cli {
     command: Command,
 }
 
+// The words of each command are with its arguments; any here would hide them.
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Run the server.
     Serve(serve::Args),
-    /// Run a server and stream a bundled tool path into it.
     Demo(demo::Args),
-    /// Turn G-code into the cubes that a cubic cutter sweeps, and measure their union.
     Mill(mill::Args),
-    /// Measure the union of the cubes in a file, without a server.
     Measure(measure::Args),
-    /// Check a data directory: every checksum, every total against a recount.
     Audit(audit::Args),
 }
 

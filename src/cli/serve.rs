@@ -1,6 +1,6 @@
 //! `union3d serve`: the server, from its settings to its end.
 
-use std::io::Write;
+use std::io::{IsTerminal, Write};
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -129,6 +129,7 @@ fn start_log(config: &ServeConfig) -> Result<(), Box<dyn std::error::Error>> {
         .map_err(|error| format!("configuration: log_filter {:?}: {error}", config.log_filter))?;
     let builder = tracing_subscriber::fmt()
         .with_env_filter(filter)
+        .with_ansi(std::io::stderr().is_terminal())
         .with_writer(std::io::stderr);
     match config.log_format {
         LogFormat::Text => builder.init(),

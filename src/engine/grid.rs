@@ -9,6 +9,7 @@
 
 use std::collections::{BTreeMap, HashMap};
 use std::hash::{BuildHasherDefault, Hash, Hasher};
+use std::ops::ControlFlow;
 
 use crate::geometry::{Bounds, CubeId, Edge, Place};
 
@@ -42,8 +43,8 @@ struct Bin {
 pub(super) struct Grid {
     edge: i32,
     shift: u32,
-    /// Whether the bins follow the data; tests fix them.
-    adaptive: bool,
+    /// The least shift that crowds may bring; none when the bins are fixed.
+    narrowest: Option<u32>,
     bins: HashMap<BinKey, Bin, BuildHasherDefault<BinHasher>>,
     len: usize,
     /// Numbers of cubes below and above which the bins are looked at again.
@@ -54,40 +55,51 @@ pub(super) struct Grid {
 /// Fewer cubes a bin than this (on average), and bins double their side.
 const CROWD_MIN: usize = 6;
 /// More cubes a bin than this, and bins that are wider than they need be halve their side.
-const CROWD_MAX: usize = 48;
+const CROWD_MAX: usize = 96;
 /// Too few cubes to bother.
 const REVIEW_MIN: usize = 1024;
 /// Widest bins: the whole lattice is eight of them.
 const SHIFT_MAX: u32 = 30;
 
+/// Bins start at four to eight edges: a query for touching cubes meets at most eight of them.
+const SHIFT_ABOVE_EDGE: u32 = 2;
+
 impl Grid {
-    pub(super) fn new(edge: Edge) -> Self {
-        Self::build(edge, Self::narrowest_shift(edge), true)
+    /// A grid for queries that reach an edge to both sides. Crowded bins become as narrow as one or two edges: a query
+    /// then meets at most 64.
+    pub(super) fn for_neighbours(edge: Edge) -> Self {
+        Self::adaptive(edge, 0)
+    }
+
+    /// A grid for queries that reach an edge to one side; crowded bins become as narrow as a quarter of an edge.
+    pub(super) fn for_small_boxes(edge: Edge) -> Self {
+        Self::adaptive(edge, 2)
+    }
+
+    fn adaptive(edge: Edge, below_edge: u32) -> Self {
+        let shift = edge.steps().cast_unsigned().next_power_of_two().ilog2();
+        Self::build(
+            edge,
+            shift + SHIFT_ABOVE_EDGE,
+            Some(shift.saturating_sub(below_edge)),
+        )
     }
 
     /// A grid whose bins stay `2^shift` steps wide.
     pub(super) fn with_bins(edge: Edge, shift: u32) -> Self {
-        Self::build(edge, shift.min(SHIFT_MAX), false)
+        Self::build(edge, shift.min(SHIFT_MAX), None)
     }
 
-    fn build(edge: Edge, shift: u32, adaptive: bool) -> Self {
+    fn build(edge: Edge, shift: u32, narrowest: Option<u32>) -> Self {
         Self {
             edge: edge.steps(),
             shift,
-            adaptive,
+            narrowest,
             bins: HashMap::default(),
             len: 0,
             review: [0, REVIEW_MIN],
             extents: Default::default(),
         }
-    }
-
-    /// Bins of three to six edges: a query for touching cubes then meets at most eight of them.
-    fn narrowest_shift(edge: Edge) -> u32 {
-        (3 * edge.steps())
-            .cast_unsigned()
-            .next_power_of_two()
-            .ilog2()
     }
 
     pub(super) fn len(&self) -> usize {
@@ -175,36 +187,41 @@ impl Grid {
         true
     }
 
-    /// Calls `visit` for every cube whose lower corner lies in the closed box from `min` to `max`.
-    pub(super) fn visit(
+    /// Calls `visit` for every cube whose lower corner lies in the closed box from `min` to `max`, until it breaks.
+    pub(super) fn visit<B>(
         &self,
         min: [i32; 3],
         max: [i32; 3],
-        mut visit: impl FnMut([i32; 3], CubeId),
-    ) {
+        mut visit: impl FnMut([i32; 3], CubeId) -> ControlFlow<B>,
+    ) -> ControlFlow<B> {
         self.visit_blocks(min, max, |block, lane| {
-            visit(
-                block.corner.map(|lanes| lanes[lane]),
-                CubeId(block.id[lane]),
-            );
-        });
+            let corner = block.corner.map(|lanes| lanes[lane]);
+            visit(corner, CubeId(block.id[lane]))
+        })
     }
 
     /// Appends the offset from `corner` to every cube that touches the cube at `corner` (closed boxes), itself included.
     pub(super) fn gather(&self, corner: [i32; 3], offsets: &mut Vec<[i32; 3]>) {
         let min = corner.map(|coordinate| coordinate - self.edge);
         let max = corner.map(|coordinate| coordinate + self.edge);
-        self.visit_blocks(min, max, |block, lane| {
+        let all: ControlFlow<()> = self.visit_blocks(min, max, |block, lane| {
             offsets.push([
                 block.corner[0][lane] - corner[0],
                 block.corner[1][lane] - corner[1],
                 block.corner[2][lane] - corner[2],
             ]);
+            ControlFlow::Continue(())
         });
+        debug_assert!(all.is_continue(), "gathering never stops early");
     }
 
     #[inline]
-    fn visit_blocks(&self, min: [i32; 3], max: [i32; 3], mut visit: impl FnMut(&Block, usize)) {
+    fn visit_blocks<B>(
+        &self,
+        min: [i32; 3],
+        max: [i32; 3],
+        mut visit: impl FnMut(&Block, usize) -> ControlFlow<B>,
+    ) -> ControlFlow<B> {
         let (first, last) = (self.key(min), self.key(max));
         // How far each coordinate may be above `min`; unsigned, so that one comparison checks both ends.
         let reach: [u32; 3] =
@@ -218,13 +235,14 @@ impl Grid {
                     for block in &bin.blocks {
                         let mut kept = block.lanes_within(min, reach);
                         while kept != 0 {
-                            visit(block, kept.trailing_zeros() as usize);
+                            visit(block, kept.trailing_zeros() as usize)?;
                             kept &= kept - 1;
                         }
                     }
                 }
             }
         }
+        ControlFlow::Continue(())
     }
 
     /// The box around all cubes.
@@ -266,16 +284,16 @@ impl Grid {
     #[cold]
     fn review_bins(&mut self) {
         self.review = [self.len / 2, (self.len * 2).max(REVIEW_MIN)];
-        if !self.adaptive || self.len < REVIEW_MIN {
+        let Some(narrowest) = self.narrowest else {
+            return;
+        };
+        if self.len < REVIEW_MIN {
             return;
         }
-        let narrowest = Self::narrowest_shift(
-            Edge::new(self.edge.into()).expect("the edge of a grid was checked"),
-        );
         while self.len < CROWD_MIN * self.bins.len() && self.shift < SHIFT_MAX {
             self.rebuild(self.shift + 1);
         }
-        if self.len > CROWD_MAX * self.bins.len() && self.shift > narrowest {
+        while self.len > CROWD_MAX * self.bins.len() && self.shift > narrowest {
             self.rebuild(self.shift - 1);
         }
     }

@@ -18,6 +18,11 @@
 //! # Source
 //! The local formulas are UNION3's (W. R. Franklin); evaluated once a cube instead of once a grid cell.
 
+#![expect(
+    clippy::inline_always,
+    reason = "what is inlined into a leaf is compiled for the leaf's instructions; left as a call it would not be"
+)]
+
 use ethnum::I256;
 
 use crate::geometry::{Edge, Measures, Place, WEIGHTS};
@@ -47,6 +52,8 @@ const _: () = assert!(5 * crate::geometry::EDGE_MAX.ilog2() < 127);
 pub(super) struct Kernel {
     edge: i32,
     wide: bool,
+    /// Whether the processor has what `leaf_avx2` was compiled for.
+    avx2: bool,
     /// A stack of clips: each level of the division works on the end of it.
     clips: Vec<Span>,
     /// Boxes that contain everything the last cube newly covered; kept only when asked for.
@@ -60,16 +67,18 @@ impl Kernel {
         Self {
             edge,
             wide: edge > NARROW_EDGE_MAX,
+            avx2: avx2(),
             clips: Vec::new(),
             uncovered: Vec::new(),
             collect: false,
         }
     }
 
-    /// A kernel that takes the wide path whatever the edge: the slow twin of the narrow one.
-    pub(super) fn wide(edge: Edge) -> Self {
+    /// A kernel that takes the portable path and the widest sums whatever the edge: the slow twin of the fast ones.
+    pub(super) fn plain(edge: Edge) -> Self {
         Self {
             wide: true,
+            avx2: false,
             ..Self::new(edge)
         }
     }
@@ -178,6 +187,7 @@ impl Kernel {
     }
 
     /// The cells of `c` next to the points.
+    #[inline(always)]
     fn own_cells(&self, points: Span) -> Span {
         Span {
             min: [0; 3],
@@ -259,8 +269,28 @@ impl Kernel {
         self.descend(first, above, sums);
     }
 
-    /// Looks at all vertices among the points at once.
+    /// Looks at all vertices among the points at once, with the widest registers there are.
     fn leaf<T: Ring>(&mut self, first: usize, points: Span, sums: &mut Sums<T>) {
+        #[cfg(target_arch = "x86_64")]
+        if self.avx2 {
+            #[expect(
+                unsafe_code,
+                reason = "the same code, compiled for instructions that were detected"
+            )]
+            // SAFETY: `avx2` is set only when the processor was found to have every feature that `leaf_avx2` enables.
+            return unsafe { self.leaf_avx2(first, points, sums) };
+        }
+        self.leaf_inlined(first, points, sums);
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
+    fn leaf_avx2<T: Ring>(&mut self, first: usize, points: Span, sums: &mut Sums<T>) {
+        self.leaf_inlined(first, points, sums);
+    }
+
+    #[inline(always)]
+    fn leaf_inlined<T: Ring>(&mut self, first: usize, points: Span, sums: &mut Sums<T>) {
         let mut planes = [Planes::default(); 3];
         for axis in 0..3 {
             let planes = &mut planes[axis];
@@ -360,6 +390,7 @@ impl Kernel {
     }
 
     /// Keeps one box around what a leaf newly covers.
+    #[inline(always)]
     fn collect_box(
         &mut self,
         points: Span,
@@ -392,13 +423,35 @@ impl Kernel {
     }
 }
 
+#[cfg(target_arch = "x86_64")]
+fn avx2() -> bool {
+    is_x86_feature_detected!("avx2")
+        && is_x86_feature_detected!("bmi1")
+        && is_x86_feature_detected!("bmi2")
+        && is_x86_feature_detected!("lzcnt")
+        && is_x86_feature_detected!("popcnt")
+}
+
+#[cfg(not(target_arch = "x86_64"))]
+fn avx2() -> bool {
+    false
+}
+
 impl Span {
     /// As closed boxes with a common cell: the clip has a cell next to some point.
     fn reaches(&self, points: &Self) -> bool {
         (0..3).all(|axis| self.min[axis] <= points.max[axis] && points.min[axis] <= self.max[axis])
     }
 
-    fn contains(&self, other: &Self) -> bool {
+    /// The closed cube at a corner.
+    pub(super) fn cube(corner: [i32; 3], edge: i32) -> Self {
+        Self {
+            min: corner,
+            max: corner.map(|low| low + edge),
+        }
+    }
+
+    pub(super) fn contains(&self, other: &Self) -> bool {
         (0..3).all(|axis| self.min[axis] <= other.min[axis] && other.max[axis] <= self.max[axis])
     }
 
@@ -449,6 +502,7 @@ struct Planes {
 }
 
 impl Planes {
+    #[inline(always)]
     fn insert(&mut self, plane: i32) {
         let mut index = self.count;
         while index > 0 && self.at[index - 1] > plane {
@@ -464,6 +518,7 @@ impl Planes {
     }
 
     /// Bits of the cells from `min` to `max`, each a plane or beyond the points; `last` is the last point.
+    #[inline(always)]
     fn cells(&self, min: i32, max: i32, last: i32) -> u32 {
         let rank = |coordinate: i32| {
             self.at[..self.count]
@@ -489,6 +544,7 @@ const ALL_BUT_LAST: u64 = 0x7fff * EVERY_ROW;
 
 impl Layer {
     /// Cells whose x is in one set of bits and whose y is in another.
+    #[inline(always)]
     fn product(x: u32, y: u32) -> Self {
         let row = u64::from(x) * EVERY_ROW;
         Self(std::array::from_fn(|word| {
@@ -499,49 +555,59 @@ impl Layer {
         }))
     }
 
+    #[inline(always)]
     fn row(self, y: usize) -> u16 {
         // The mask makes the narrowing exact.
         u16::try_from(self.0[y / 4] >> (16 * (y % 4)) & 0xffff).expect("sixteen bits were kept")
     }
 
+    #[inline(always)]
     fn or(self, other: Self) -> Self {
         Self(std::array::from_fn(|word| self.0[word] | other.0[word]))
     }
 
+    #[inline(always)]
     fn and(self, other: Self) -> Self {
         Self(std::array::from_fn(|word| self.0[word] & other.0[word]))
     }
 
+    #[inline(always)]
     fn xor(self, other: Self) -> Self {
         Self(std::array::from_fn(|word| self.0[word] ^ other.0[word]))
     }
 
+    #[inline(always)]
     fn and_not(self, other: Self) -> Self {
         Self(std::array::from_fn(|word| self.0[word] & !other.0[word]))
     }
 
+    #[inline(always)]
     fn is_empty(self) -> bool {
         self.0 == [0; 4]
     }
 
     /// The neighbour above along x, for every cell.
+    #[inline(always)]
     fn next_x(self) -> Self {
         Self(self.0.map(|word| word >> 1 & ALL_BUT_LAST))
     }
 
     /// The neighbour above along y, for every cell.
+    #[inline(always)]
     fn next_y(self) -> Self {
         let above = |word: usize| self.0.get(word + 1).map_or(0, |next| next << 48);
         Self(std::array::from_fn(|word| self.0[word] >> 16 | above(word)))
     }
 
     /// Bit (x, y) of the result is the point above cell (x, y): set when any of the four cells around it is.
+    #[inline(always)]
     fn dilated(self) -> Self {
         let both = self.or(self.next_x());
         both.or(both.next_y())
     }
 
     /// Points between two layers at which the mask varies along all three axes.
+    #[inline(always)]
     fn vertices(lower: Self, upper: Self) -> Self {
         let x = lower.xor(lower.next_x()).or(upper.xor(upper.next_x()));
         let y = lower.xor(lower.next_y()).or(upper.xor(upper.next_y()));
@@ -551,6 +617,7 @@ impl Layer {
 }
 
 /// The octant mask at point `x` of four rows: (y, z) below and above.
+#[inline(always)]
 fn mask_at(rows: [u32; 4], x: u32) -> usize {
     let pair = |row: u32| row >> x & 0b11;
     (pair(rows[0]) | pair(rows[1]) << 2 | pair(rows[2]) << 4 | pair(rows[3]) << 6) as usize
@@ -650,6 +717,7 @@ struct Line<T> {
 }
 
 impl<T: Ring> Line<T> {
+    #[inline(always)]
     fn add(&mut self, x: i32, before: usize, after: usize) {
         let (before, after) = (&KERNEL_WEIGHTS[before], &KERNEL_WEIGHTS[after]);
         let lanes: Lanes = std::array::from_fn(|lane| after[lane] - before[lane]);
@@ -680,6 +748,7 @@ struct Sums<T> {
 }
 
 impl<T: Ring> Sums<T> {
+    #[inline(always)]
     fn add(&mut self, line: &Line<T>, y: i32, z: i32) {
         let plain = |lane: usize| T::of(line.plain[lane].into());
         let (y, z) = (T::of(y), T::of(z));

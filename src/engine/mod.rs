@@ -19,6 +19,7 @@ mod ids;
 mod marginal;
 
 use std::collections::HashMap;
+use std::ops::ControlFlow;
 
 use crate::geometry::{CUBES_MAX, CubeId, Edge, Effect, Measures, Place, Totals};
 
@@ -131,7 +132,12 @@ struct Work {
 impl Engine {
     /// An empty scene of cubes of `edge`, with bins that follow the data.
     pub fn new(edge: Edge) -> Self {
-        Self::build(edge, Grid::new(edge), Grid::new(edge), Kernel::new(edge))
+        Self::build(
+            edge,
+            Grid::for_neighbours(edge),
+            Grid::for_small_boxes(edge),
+            Kernel::new(edge),
+        )
     }
 
     /// An empty scene whose bins stay `2^bin_shift` steps wide: the same totals, in another time and space.
@@ -140,9 +146,15 @@ impl Engine {
         Self::build(edge, bins(), bins(), Kernel::new(edge))
     }
 
-    /// An empty scene that computes in the widest integers whatever its edge: the same totals, slower.
-    pub fn with_wide_sums(edge: Edge) -> Self {
-        Self::build(edge, Grid::new(edge), Grid::new(edge), Kernel::wide(edge))
+    /// An empty scene that computes without special instructions and in the widest integers, whatever the processor and
+    /// the edge: the same totals, slower.
+    pub fn plain(edge: Edge) -> Self {
+        Self::build(
+            edge,
+            Grid::for_neighbours(edge),
+            Grid::for_small_boxes(edge),
+            Kernel::plain(edge),
+        )
     }
 
     fn build(edge: Edge, visible: Grid, hidden: Grid, kernel: Kernel) -> Self {
@@ -362,57 +374,70 @@ impl Engine {
     }
 
     /// Makes hidden cubes visible until they cover again what the deleted cube at `place` left bare, as far as they can.
-    ///
-    /// Best overlap first; after each promotion what is still bare is found anew, so few cubes become visible.
     fn promote(&mut self, place: Place) {
-        if self.hidden.len() == 0 {
-            return;
-        }
-        let edge = self.edge.steps();
-        let mut candidates: Vec<(CubeId, Place, Span)> = Vec::new();
-        let around = self
+        let Some(bare) = self
             .work
             .uncovered
             .iter()
             .copied()
-            .reduce(|one, other| one.joined(&other));
-        let Some(around) = around else { return };
-        self.hidden.visit(
-            around.min.map(|low| low - edge),
-            around.max,
-            |corner, id| {
-                let cube = Span {
-                    min: corner,
-                    max: corner.map(|low| low + edge),
-                };
-                candidates.push((id, Place::from_checked(corner), cube));
-            },
-        );
-        // The order of the grid is an accident of history; ties go to the least id, so that the same set and the same
-        // deletion cost the same.
-        candidates.sort_unstable_by_key(|(id, ..)| *id);
+            .reduce(|one, other| one.joined(&other))
+        else {
+            return;
+        };
+        if self.hidden.len() == 0 {
+            return;
+        }
+        let edge = self.edge.steps();
+        let reach = bare.min.map(|low| low - edge);
+        // In a crowd one cube often covers all that is bare; the first one found will do.
+        let covering = self.hidden.visit(reach, bare.max, |corner, id| {
+            let covers = Span::cube(corner, edge).contains(&bare);
+            if covers {
+                ControlFlow::Break((id, Place::from_checked(corner)))
+            } else {
+                ControlFlow::Continue(())
+            }
+        });
+        if let ControlFlow::Break((id, hidden)) = covering {
+            return self.promote_one(id, hidden);
+        }
+        // Best overlap first, and what is still bare found anew after each, so that few cubes become visible.
+        let mut candidates: Vec<(CubeId, Span)> = Vec::new();
+        let all: ControlFlow<()> = self.hidden.visit(reach, bare.max, |corner, id| {
+            candidates.push((id, Span::cube(corner, edge)));
+            ControlFlow::Continue(())
+        });
+        debug_assert!(all.is_continue(), "candidates are all looked at");
         loop {
-            let bare = &self.work.uncovered;
             let overlap = |cube: &Span| {
-                bare.iter()
+                self.work
+                    .uncovered
+                    .iter()
                     .map(|span| span.overlap(cube))
                     .max()
                     .unwrap_or(0)
             };
-            candidates.retain(|(.., cube)| overlap(cube) > 0);
-            let best = (0..candidates.len())
-                .rev()
-                .max_by_key(|&index| overlap(&candidates[index].2));
-            let Some(best) = best else { return };
-            let (id, candidate, _) = candidates.remove(best);
-            if let Some(difference) = self.marginal(candidate) {
-                self.measures.add(&difference);
-                assert!(self.hidden.remove(candidate, id), "a candidate is hidden");
-                self.visible.insert(candidate, id);
-                if self.uncovered(place).is_none() {
-                    return;
-                }
+            candidates.retain(|(_, cube)| overlap(cube) > 0);
+            let best = candidates
+                .iter()
+                .enumerate()
+                .max_by_key(|(_, (_, cube))| overlap(cube));
+            let Some((best, _)) = best else { return };
+            let (id, cube) = candidates.swap_remove(best);
+            let visible_before = self.visible.len();
+            self.promote_one(id, Place::from_checked(cube.min));
+            if self.visible.len() > visible_before && self.uncovered(place).is_none() {
+                return;
             }
+        }
+    }
+
+    /// Makes a hidden cube visible, unless the visible cubes cover it.
+    fn promote_one(&mut self, id: CubeId, place: Place) {
+        if let Some(difference) = self.marginal(place) {
+            self.measures.add(&difference);
+            assert!(self.hidden.remove(place, id), "a candidate is hidden");
+            self.visible.insert(place, id);
         }
     }
 
@@ -459,9 +484,15 @@ impl Engine {
             if holder.is_none_or(|(least, _)| id < least) {
                 holder = Some((id, Place::from_checked(corner)));
             }
+            ControlFlow::<()>::Continue(())
         };
-        self.visible.visit(min, point, &mut look);
-        self.hidden.visit(min, point, &mut look);
+        for grid in [&self.visible, &self.hidden] {
+            let all = grid.visit(min, point, &mut look);
+            debug_assert!(
+                all.is_continue(),
+                "every cube around the point is looked at"
+            );
+        }
         let side = match mask {
             0 => Side::Outside,
             u8::MAX => Side::Inside,

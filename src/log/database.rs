@@ -57,18 +57,16 @@ impl Database {
         connection
             .close()
             .map_err(|(_, error)| site.sqlite(Seq(0))(error))?;
-        let (mut acknowledged, _) = Acknowledged::open(&site).map_err(|error| site.io(&error))?;
+        let mut acknowledged = Acknowledged::open(&site).map_err(|error| site.io(&error))?;
         acknowledged
             .write(mark(&head))
             .and_then(|()| acknowledged.sync())
             .map_err(|error| site.io(&error))
     }
 
-    /// Opens the database of a scene and checks everything but its rows. Also answers what was last answered for, if that can be read.
-    pub(super) fn open(site: Site) -> Result<(Self, Meta, Option<Mark>), LogError> {
-        let (acknowledged, acknowledged_mark) =
-            Acknowledged::open(&site).map_err(|error| site.io(&error))?;
-        let seq = acknowledged_mark.unwrap_or_default().seq;
+    /// Opens the database of a scene and checks everything but its rows.
+    pub(super) fn open(site: Site) -> Result<(Self, Meta), LogError> {
+        let seq = site.acknowledged_seq();
         let connection = Connection::open_with_flags(
             &site.database,
             OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX,
@@ -86,6 +84,7 @@ impl Database {
             .map_err(|error| site.damaged(seq, format_args!("its settings: {error}")))?;
         let seal = meta.seal();
         let head = read_head(&site, &connection, seal, seq)?;
+        let acknowledged = Acknowledged::open(&site).map_err(|error| site.io(&error))?;
         let database = Self {
             site,
             connection,
@@ -93,7 +92,7 @@ impl Database {
             head,
             acknowledged,
         };
-        Ok((database, meta, acknowledged_mark))
+        Ok((database, meta))
     }
 
     /// Runs `work` in a transaction that also moves the head to what `work` made of it. Durable when it returns `Ok`; nothing

@@ -128,8 +128,8 @@ impl Site {
 
     /// Whether a new file finds no room: SQLite does not say what its I/O errors were.
     fn is_full(&self) -> bool {
-        const TRIAL: [u8; 1 << 16] = [1; 1 << 16];
-        let trial = || tempfile::tempfile_in(&self.directory)?.write_all(&TRIAL);
+        const TRIAL_BYTES: usize = 1 << 16;
+        let trial = || tempfile::tempfile_in(&self.directory)?.write_all(&vec![1; TRIAL_BYTES]);
         trial().is_err_and(|error| matches!(self.io(&error), LogError::Full { .. }))
     }
 
@@ -180,13 +180,14 @@ impl Site {
         }
     }
 
-    /// The newest seq that is known to have been answered for, to name it where the database cannot be asked.
+    /// What is known to have been answered for, if the witness can be read.
+    pub(super) fn acknowledged_mark(&self) -> Option<Mark> {
+        Acknowledged::parse(&fs::read(self.acknowledged()).ok()?)
+    }
+
+    /// The same, to name a seq where the database cannot be asked.
     pub(super) fn acknowledged_seq(&self) -> Seq {
-        Acknowledged::open(self)
-            .ok()
-            .and_then(|(_, mark)| mark)
-            .unwrap_or_default()
-            .seq
+        self.acknowledged_mark().unwrap_or_default().seq
     }
 }
 
@@ -209,16 +210,13 @@ pub(super) struct Acknowledged(File);
 impl Acknowledged {
     const SIZE: usize = 20;
 
-    pub(super) fn open(site: &Site) -> io::Result<(Self, Option<Mark>)> {
-        let mut file = OpenOptions::new()
-            .read(true)
+    pub(super) fn open(site: &Site) -> io::Result<Self> {
+        OpenOptions::new()
             .write(true)
             .create(true)
             .truncate(false)
-            .open(site.acknowledged())?;
-        let mut bytes = Vec::new();
-        file.read_to_end(&mut bytes)?;
-        Ok((Self(file), Self::parse(&bytes)))
+            .open(site.acknowledged())
+            .map(Self)
     }
 
     fn parse(bytes: &[u8]) -> Option<Mark> {
@@ -259,15 +257,15 @@ pub(super) fn create_whole(
     }
     let temporary = temporary_sibling(directory, "create").map_err(io)?;
     fs::create_dir(&temporary).map_err(io)?;
-    let built = build(&temporary)
+    let outcome = build(&temporary)
         .and_then(|()| sync_directory(&temporary).map_err(io))
         .and_then(|()| fs::rename(&temporary, directory).map_err(io))
         .and_then(|()| sync_directory(parent(directory)).map_err(io));
-    if built.is_err() {
+    if outcome.is_err() {
         // What cannot be removed now has a name by which it is removed later.
         drop(fs::remove_dir_all(&temporary));
     }
-    built
+    outcome
 }
 
 /// Removes the directory of a scene, so that a crash leaves it whole or gone.

@@ -85,7 +85,8 @@ impl SceneLog {
                 format_args!("SQLite's write-ahead file: {detail}{place}"),
             ));
         }
-        let (database, meta, acknowledged) = Database::open(site)?;
+        let acknowledged = site.acknowledged_mark();
+        let (database, meta) = Database::open(site)?;
         let (site, head) = (&database.site, &database.head);
         if write_ahead != WriteAhead::Empty
             && generation_without_write_ahead(site, database.seal)
@@ -374,4 +375,74 @@ fn notices(
         Some(_) => {}
     }
     notices
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{CubeId, Place, Totals};
+
+    const KEEP: Keep = Keep {
+        history_changes_max: 10,
+        idempotency_keys_max: 10,
+    };
+
+    fn record(seq: u64, cubes: u64) -> Record {
+        let edge = Edge::new(1).unwrap();
+        let place = Place::new([0; 3], edge).unwrap();
+        Record {
+            seq: Seq(seq),
+            at_ms: 0,
+            effect: Effect {
+                deleted: vec![],
+                // Ids without a pattern, so that they take room.
+                inserted: (0..cubes)
+                    .map(|id| (CubeId(id.wrapping_mul(0x9E37_79B9_7F4A_7C15)), place))
+                    .collect(),
+            },
+            totals: Totals::default(),
+        }
+    }
+
+    /// A limit on pages stands for a full disk: SQLite says the same to both.
+    #[test]
+    fn a_full_disk_is_called_so_and_heals() {
+        let data = tempfile::tempdir().unwrap();
+        let path = data.path().join("scene");
+        let header = Header {
+            incarnation: 1,
+            edge_steps: 1,
+            settings: String::new(),
+        };
+        let mut log = SceneLog::create(&path, &header, KEEP).unwrap();
+        log.append(&[record(1, 1)], &[]).unwrap();
+        let limit = |log: &SceneLog, pages: i64| {
+            let connection = &log.database.connection;
+            connection
+                .pragma(None, "max_page_count", pages, |_| Ok(()))
+                .unwrap();
+        };
+        limit(&log, 16);
+        let head = log.database.head;
+        let error = log
+            .append(&[record(2, 10), record(3, 100_000)], &[])
+            .unwrap_err();
+        assert!(matches!(error, LogError::Full { .. }), "{error}");
+        assert_eq!(log.database.head, head, "nothing of it has happened");
+        limit(&log, 1 << 20);
+        log.probe().unwrap();
+        log.append(&[record(2, 100_000)], &[]).unwrap();
+        drop(log);
+        let (mut log, notices) = SceneLog::open(&path, KEEP).unwrap();
+        assert_eq!((log.seq(), notices), (Seq(2), vec![]));
+        let mut counts = vec![];
+        log.replay(&mut |_| {}, &mut |replayed| {
+            if let Replayed::Change(record) = replayed {
+                counts.push(record.effect.inserted.len());
+            }
+            true
+        })
+        .unwrap();
+        assert_eq!(counts, [1, 100_000]);
+    }
 }

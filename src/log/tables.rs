@@ -15,7 +15,7 @@
 //! ```
 
 use rusqlite::types::ValueRef;
-use rusqlite::{Connection, Row, params};
+use rusqlite::{Connection, Row, params, params_from_iter};
 
 use super::codec::{self, Malformed, Reader};
 use super::{Answer, Header, HistoryRow, KeyRecord, Seq};
@@ -203,23 +203,13 @@ impl Head {
     }
 
     pub(super) fn write(&self, connection: &Connection, seal: Seal) -> rusqlite::Result<()> {
+        let crc = self.crc(seal).finish();
         let numbers = self.numbers().map(u64::cast_signed);
-        let [a, b, c, d, e, f, g, h, i, j] = numbers;
         connection
             .prepare_cached("REPLACE INTO head VALUES(1, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)")?
-            .execute(params![
-                a,
-                b,
-                c,
-                d,
-                e,
-                f,
-                g,
-                h,
-                i,
-                j,
-                self.crc(seal).finish()
-            ])?;
+            .execute(params_from_iter(
+                numbers.into_iter().chain([i64::from(crc)]),
+            ))?;
         Ok(())
     }
 

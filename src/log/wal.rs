@@ -199,8 +199,8 @@ impl Walk {
     /// Looks at what is behind the last whole frame.
     fn end(&mut self, partial: &[u8]) {
         let stale = match partial.get(8..16) {
-            Some(salts) => {
-                let [salt1, salt2] = words(salts);
+            Some(bytes) => {
+                let [salt1, salt2] = words(bytes);
                 salt1 != self.header.salts[0] && salt2 != self.header.salts[1]
             }
             // Too short to tell. Behind stale frames it is one of them.

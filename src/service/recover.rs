@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use parking_lot::{Condvar, Mutex};
 
-use super::scene::{Feed, Scene};
+use super::scene::{Condition, Feed, Scene};
 use super::writer::{Live, inject};
 use super::{FaultStep, Published, Seq, meters};
 use crate::engine::Engine;
@@ -93,6 +93,8 @@ pub(super) fn reopen(scene: &Scene) -> Result<Live, Halt> {
     }
     scene.keep_notices(notices);
     log.probe()?;
+    scene.set_permille(0);
+    scene.set_condition(Condition::Recovering);
     revive(scene, log)
 }
 

@@ -18,7 +18,8 @@ use super::inbox::{Pending, Reply};
 use super::recover::{Halt, next_id_after, reopen};
 use super::scene::{Condition, Feed, Scene};
 use super::{
-    Applied, Counting, FaultStep, Operations, Published, Seq, ServiceError, Submission, meters,
+    Applied, Counting, FaultStep, Operations, Published, SceneState, Seq, ServiceError, Submission,
+    meters,
 };
 use crate::engine::{Counts, Engine, Op};
 use crate::geometry::{CubeId, Effect, Place};
@@ -100,7 +101,6 @@ pub(super) fn run(scene: &Scene, mut live: Option<Live>) {
         if !comes_back || ended().is_some() {
             return;
         }
-        scene.set_permille(0);
     }
 }
 
@@ -147,12 +147,19 @@ fn stop(scene: &Scene, error: &LogError) -> bool {
             ServiceError::Damaged { cause }
         }
         LogError::Full { .. } | LogError::Failed { .. } => {
-            tracing::error!(
-                scene = name,
-                cause,
-                "stopped until the disk takes writes again"
-            );
-            meters::scene_stopped();
+            // It is tried again every moment: only what is new is worth a line.
+            if let SceneState::Stopped { cause: before, .. } = scene.state()
+                && before == cause
+            {
+                tracing::debug!(scene = name, cause, "still stopped");
+            } else {
+                tracing::error!(
+                    scene = name,
+                    cause,
+                    "stopped until the disk takes writes again"
+                );
+                meters::scene_stopped();
+            }
             let full = matches!(error, LogError::Full { .. });
             scene.set_condition(Condition::Stopped {
                 cause: cause.clone(),
