@@ -1,5 +1,32 @@
-//! The exact online engine (skeleton: the signatures other modules build on).
-use crate::geometry::{CubeId, Edge, Effect, Place, Totals};
+//! The exact online engine: a set of identical cubes whose totals are current after every change.
+//!
+//! Knows cubes, the grid and the kernel. Never knows I/O, floats, async, or in which order cubes came: the totals are a
+//! function of the set alone.
+//!
+//! ```text
+//!   judge(ops) ──> Effect ──> apply ──┬─ ids      cubes by id
+//!                                     ├─ visible  grid of the cubes whose union is the union
+//!                                     ├─ hidden   grid of the cubes that the visible ones cover: never gathered
+//!                                     └─ totals   += or -= marginal(cube | its visible neighbours)
+//! ```
+//!
+//! Invariants: every cube of `ids` is in exactly one grid; the union of the visible cubes is the union of all; `totals`
+//! are those of [`recount`].
+
+mod audit;
+mod grid;
+mod ids;
+mod marginal;
+
+use std::collections::HashMap;
+use std::ops::ControlFlow;
+
+use crate::geometry::{CUBES_MAX, CubeId, Edge, Effect, Measures, Place, Totals};
+
+pub use audit::recount;
+use grid::Grid;
+use ids::IdTable;
+use marginal::{Kernel, Span};
 
 /// One operation on a scene's set of cubes.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -86,59 +113,130 @@ pub struct Cursor(pub u64);
 #[derive(Debug)]
 pub struct Engine {
     edge: Edge,
-    cubes: std::collections::BTreeMap<CubeId, Place>,
+    ids: IdTable,
+    visible: Grid,
+    hidden: Grid,
+    kernel: Kernel,
+    measures: Measures,
     totals: Totals,
+    work: Work,
+}
+
+/// Memory that one operation after the other uses.
+#[derive(Debug, Default)]
+struct Work {
+    offsets: Vec<[i32; 3]>,
+    uncovered: Vec<Span>,
 }
 
 impl Engine {
-    /// An empty scene of cubes of `edge`.
+    /// An empty scene of cubes of `edge`, with bins that follow the data.
     pub fn new(edge: Edge) -> Self {
+        Self::build(
+            edge,
+            Grid::for_neighbours(edge),
+            Grid::for_small_boxes(edge),
+            Kernel::new(edge),
+        )
+    }
+
+    /// An empty scene whose bins stay `2^bin_shift` steps wide: the same totals, in another time and space.
+    pub fn with_bins(edge: Edge, bin_shift: u32) -> Self {
+        let bins = || Grid::with_bins(edge, bin_shift);
+        Self::build(edge, bins(), bins(), Kernel::new(edge))
+    }
+
+    /// An empty scene that computes without special instructions and in the widest integers, whatever the processor and
+    /// the edge: the same totals, slower.
+    pub fn plain(edge: Edge) -> Self {
+        Self::build(
+            edge,
+            Grid::for_neighbours(edge),
+            Grid::for_small_boxes(edge),
+            Kernel::plain(edge),
+        )
+    }
+
+    fn build(edge: Edge, visible: Grid, hidden: Grid, kernel: Kernel) -> Self {
         Self {
             edge,
-            cubes: Default::default(),
+            ids: IdTable::new(),
+            visible,
+            hidden,
+            kernel,
+            measures: Measures::default(),
             totals: Totals::default(),
+            work: Work::default(),
         }
     }
+
     /// The edge of every cube.
     pub fn edge(&self) -> Edge {
         self.edge
     }
+
     /// Current totals. O(1).
     pub fn totals(&self) -> Totals {
         self.totals
     }
+
     /// Number of cubes. O(1).
     pub fn len(&self) -> u64 {
-        self.cubes.len() as u64
+        self.ids.len() as u64
     }
-    /// Whether there is no cube.
+
+    /// Whether there is no cube. O(1).
     pub fn is_empty(&self) -> bool {
-        self.cubes.is_empty()
+        self.ids.len() == 0
     }
-    /// Judges operations in their order against the set, changing nothing.
+
+    /// Bytes of the cubes by id and of the grids.
+    pub fn size(&self) -> EngineSize {
+        EngineSize {
+            ids: self.ids.size(),
+            grid: self.visible.size() + self.hidden.size(),
+        }
+    }
+
+    /// Where the cube of this id is. O(1).
+    pub fn get(&self, id: CubeId) -> Option<Place> {
+        self.ids.get(id)
+    }
+
+    /// Judges operations in their order against the set, changing nothing. O(operations).
     /// # Errors
     /// [`Rejected`] names the first operation at fault.
     pub fn judge(&self, ops: &[Op]) -> Result<Judged, Rejected> {
-        let mut overlay: std::collections::BTreeMap<CubeId, Option<Place>> = Default::default();
-        let mut order = vec![];
+        /// An id that some operation names.
+        struct Touched {
+            id: CubeId,
+            before: Option<Place>,
+            now: Option<Place>,
+        }
+        let mut touched: Vec<Touched> = Vec::with_capacity(ops.len());
+        let mut by_id: HashMap<CubeId, usize> = HashMap::with_capacity(ops.len());
         let mut in_order = Counts::default();
         for (index, op) in ops.iter().enumerate() {
-            let id = match *op {
-                Op::Delete(id) | Op::Insert(id, _) => id,
-            };
-            let now = *overlay.entry(id).or_insert_with(|| {
-                order.push(id);
-                self.cubes.get(&id).copied()
+            let (Op::Delete(id) | Op::Insert(id, _)) = *op;
+            let at = *by_id.entry(id).or_insert_with(|| {
+                let there = self.ids.get(id);
+                touched.push(Touched {
+                    id,
+                    before: there,
+                    now: there,
+                });
+                touched.len() - 1
             });
-            match (*op, now) {
+            let now = &mut touched[at].now;
+            match (*op, *now) {
                 (Op::Delete(_), None) => in_order.unchanged += 1,
                 (Op::Delete(_), Some(_)) => {
-                    overlay.insert(id, None);
-                    in_order.deleted += 1
+                    *now = None;
+                    in_order.deleted += 1;
                 }
                 (Op::Insert(_, place), None) => {
-                    overlay.insert(id, Some(place));
-                    in_order.inserted += 1
+                    *now = Some(place);
+                    in_order.inserted += 1;
                 }
                 (Op::Insert(_, asked), Some(there)) if there == asked => in_order.unchanged += 1,
                 (Op::Insert(_, asked), Some(there)) => {
@@ -152,21 +250,22 @@ impl Engine {
             }
         }
         let mut effect = Effect::default();
-        for id in order {
-            let (before, after) = (self.cubes.get(&id).copied(), overlay[&id]);
-            if before != after {
-                if let Some(place) = before {
-                    effect.deleted.push((id, place));
-                }
-                if let Some(place) = after {
-                    effect.inserted.push((id, place));
-                }
+        for Touched { id, before, now } in touched {
+            if before != now {
+                effect.deleted.extend(before.map(|place| (id, place)));
+                effect.inserted.extend(now.map(|place| (id, place)));
             }
         }
+        let (inserted, deleted) = (effect.inserted.len() as u64, effect.deleted.len() as u64);
+        let cubes = self.len() - deleted + inserted;
+        if cubes > CUBES_MAX {
+            return Err(Rejected::TooManyCubes { cubes });
+        }
+        let unchanged = ops.len() as u64 - inserted - deleted;
         let net = Counts {
-            inserted: effect.inserted.len() as u64,
-            deleted: effect.deleted.len() as u64,
-            unchanged: (ops.len() - effect.inserted.len() - effect.deleted.len()) as u64,
+            inserted,
+            deleted,
+            unchanged,
         };
         Ok(Judged {
             effect,
@@ -174,67 +273,269 @@ impl Engine {
             net,
         })
     }
+
     /// Applies an effect, whole or not at all: deletions first. The only door through which state changes.
+    /// O(cubes named), each in its neighbourhood.
     /// # Errors
     /// [`Inconsistent`] when the effect does not fit; then nothing has changed.
     pub fn apply(&mut self, effect: &Effect) -> Result<(), Inconsistent> {
-        for (id, _) in &effect.deleted {
-            self.cubes.remove(id);
+        self.apply_ids(effect)?;
+        for &(id, place) in &effect.deleted {
+            self.delete(id, place);
         }
-        for (id, place) in &effect.inserted {
-            self.cubes.insert(*id, *place);
+        for &(id, place) in &effect.inserted {
+            self.insert(id, place);
         }
-        // STUB: volume is wrong under overlap until the real engine lands.
-        self.totals.cubes = self.len();
-        self.totals.measures.volume = i128::from(self.len()) * i128::from(self.edge.steps()).pow(3);
+        self.totals = Totals {
+            cubes: self.len(),
+            measures: self.measures,
+            bounds: self.visible.bounds(),
+        };
         Ok(())
     }
-    /// Where the cube of this id is.
-    pub fn get(&self, id: CubeId) -> Option<Place> {
-        self.cubes.get(&id).copied()
+
+    /// The part of an effect that can fail. Undone to the last cube when it does.
+    fn apply_ids(&mut self, effect: &Effect) -> Result<(), Inconsistent> {
+        let misfit = self.remove_ids(&effect.deleted).err().map(|done| (done, 0));
+        let misfit = misfit.or_else(|| {
+            let misfit = self.insert_ids(&effect.inserted).err();
+            misfit.map(|done| (effect.deleted.len(), done))
+        });
+        let Some((deleted, inserted)) = misfit else {
+            return Ok(());
+        };
+        for (id, _) in effect.inserted[..inserted].iter().rev() {
+            self.ids.remove(*id).expect("it was inserted a moment ago");
+        }
+        for (id, place) in effect.deleted[..deleted].iter().rev() {
+            assert!(self.ids.insert(*id, *place), "it was removed a moment ago");
+        }
+        let at_fault = effect
+            .deleted
+            .get(deleted)
+            .or_else(|| effect.inserted.get(inserted));
+        let (id, _) = *at_fault.expect("one of them did not fit");
+        Err(Inconsistent { id })
     }
+
+    /// Removes cubes from the table of ids; the error is how many were removed before one did not fit.
+    fn remove_ids(&mut self, cubes: &[(CubeId, Place)]) -> Result<(), usize> {
+        for (done, (id, place)) in cubes.iter().enumerate() {
+            if self.ids.get(*id) != Some(*place) {
+                return Err(done);
+            }
+            self.ids.remove(*id);
+        }
+        Ok(())
+    }
+
+    /// Inserts cubes into the table of ids; the error is how many were inserted before one did not fit.
+    fn insert_ids(&mut self, cubes: &[(CubeId, Place)]) -> Result<(), usize> {
+        for (done, (id, place)) in cubes.iter().enumerate() {
+            if self.ids.len() as u64 == CUBES_MAX || !self.ids.insert(*id, *place) {
+                return Err(done);
+            }
+        }
+        Ok(())
+    }
+
+    fn insert(&mut self, id: CubeId, place: Place) {
+        match self.marginal(place) {
+            Some(difference) => {
+                self.measures.add(&difference);
+                self.visible.insert(place, id);
+            }
+            None => self.hidden.insert(place, id),
+        }
+    }
+
+    fn delete(&mut self, id: CubeId, place: Place) {
+        if self.hidden.remove(place, id) {
+            return;
+        }
+        // Another cube at the very same place takes over: the union stays.
+        if let Some(twin) = self.hidden.at(place) {
+            assert!(self.hidden.remove(place, twin), "a twin was found there");
+            assert!(
+                self.visible.rename(place, id, twin),
+                "a cube is in one of the grids"
+            );
+            return;
+        }
+        assert!(
+            self.visible.remove(place, id),
+            "a cube is in one of the grids"
+        );
+        let Some(difference) = self.uncovered(place) else {
+            return;
+        };
+        self.measures.retract(&difference);
+        self.promote(place);
+    }
+
+    /// Makes hidden cubes visible until they cover again what the deleted cube at `place` left bare, as far as they can.
+    fn promote(&mut self, place: Place) {
+        let Some(bare) = self
+            .work
+            .uncovered
+            .iter()
+            .copied()
+            .reduce(|one, other| one.joined(&other))
+        else {
+            return;
+        };
+        if self.hidden.len() == 0 {
+            return;
+        }
+        let edge = self.edge.steps();
+        let reach = bare.min.map(|low| low - edge);
+        // In a crowd one cube often covers all that is bare; the first one found will do.
+        let covering = self.hidden.visit(reach, bare.max, |corner, id| {
+            let covers = Span::cube(corner, edge).contains(&bare);
+            if covers {
+                ControlFlow::Break((id, Place::from_checked(corner)))
+            } else {
+                ControlFlow::Continue(())
+            }
+        });
+        if let ControlFlow::Break((id, hidden)) = covering {
+            return self.promote_one(id, hidden);
+        }
+        // Best overlap first, and what is still bare found anew after each, so that few cubes become visible.
+        let mut candidates: Vec<(CubeId, Span)> = Vec::new();
+        let all: ControlFlow<()> = self.hidden.visit(reach, bare.max, |corner, id| {
+            candidates.push((id, Span::cube(corner, edge)));
+            ControlFlow::Continue(())
+        });
+        debug_assert!(all.is_continue(), "candidates are all looked at");
+        loop {
+            let overlap = |cube: &Span| {
+                self.work
+                    .uncovered
+                    .iter()
+                    .map(|span| span.overlap(cube))
+                    .max()
+                    .unwrap_or(0)
+            };
+            candidates.retain(|(_, cube)| overlap(cube) > 0);
+            let best = candidates
+                .iter()
+                .enumerate()
+                .max_by_key(|(_, (_, cube))| overlap(cube));
+            let Some((best, _)) = best else { return };
+            let (id, cube) = candidates.swap_remove(best);
+            let visible_before = self.visible.len();
+            self.promote_one(id, Place::from_checked(cube.min));
+            if self.visible.len() > visible_before && self.uncovered(place).is_none() {
+                return;
+            }
+        }
+    }
+
+    /// Makes a hidden cube visible, unless the visible cubes cover it.
+    fn promote_one(&mut self, id: CubeId, place: Place) {
+        if let Some(difference) = self.marginal(place) {
+            self.measures.add(&difference);
+            assert!(self.hidden.remove(place, id), "a candidate is hidden");
+            self.visible.insert(place, id);
+        }
+    }
+
+    /// What the cube at `place` adds to the union of the visible cubes; none when they cover it.
+    fn marginal(&mut self, place: Place) -> Option<Measures> {
+        self.work.offsets.clear();
+        self.visible.gather(place.corner(), &mut self.work.offsets);
+        self.kernel.marginal(place, &self.work.offsets)
+    }
+
+    /// The same, and boxes around what the visible cubes leave bare of it.
+    fn uncovered(&mut self, place: Place) -> Option<Measures> {
+        self.work.offsets.clear();
+        self.visible.gather(place.corner(), &mut self.work.offsets);
+        self.kernel
+            .uncovered(place, &self.work.offsets, &mut self.work.uncovered)
+    }
+
     /// Up to `limit` cubes after the cursor (from the beginning without one), and the cursor of the last when more follow.
-    /// A cube that is there during the whole listing is listed exactly once, whatever changes meanwhile.
+    /// A cube that is there during the whole listing is listed exactly once, whatever changes meanwhile. O(limit).
     pub fn page(
         &self,
         after: Option<Cursor>,
         limit: usize,
     ) -> (Vec<(CubeId, Place)>, Option<Cursor>) {
-        let mut rows: Vec<_> = self
-            .cubes
-            .iter()
-            .filter(|(id, _)| after.is_none_or(|c| id.0 > c.0))
-            .take(limit + 1)
-            .map(|(a, b)| (*a, *b))
-            .collect();
-        let more = rows.len() > limit;
-        rows.truncate(limit);
-        let cursor = if more {
-            rows.last().map(|(id, _)| Cursor(id.0))
-        } else {
-            None
-        };
-        (rows, cursor)
+        self.ids.page(after, limit)
     }
+
     /// All cubes with their ids, in the order of the listing. O(cubes).
     pub fn cubes(&self) -> impl Iterator<Item = (CubeId, Place)> + '_ {
-        self.cubes.iter().map(|(a, b)| (*a, *b))
+        self.ids.iter()
     }
-    /// Where a lattice point lies, and a cube that holds it (closed cubes).
+
+    /// Where a lattice point lies, and the cube of least id that holds it (closed cubes). O(cubes around the point).
     pub fn contains(&self, point: [i32; 3]) -> (Side, Option<(CubeId, Place)>) {
-        let _ = point;
-        (Side::Outside, None)
+        let edge = self.edge.steps();
+        let Some(min) = lower_corner_of_reach(point, edge) else {
+            return (Side::Outside, None);
+        };
+        let mut mask = 0u8;
+        let mut holder: Option<(CubeId, Place)> = None;
+        let mut look = |corner: [i32; 3], id: CubeId| {
+            mask |= octants_filled(corner, point, edge);
+            if holder.is_none_or(|(least, _)| id < least) {
+                holder = Some((id, Place::from_checked(corner)));
+            }
+            ControlFlow::<()>::Continue(())
+        };
+        for grid in [&self.visible, &self.hidden] {
+            let all = grid.visit(min, point, &mut look);
+            debug_assert!(
+                all.is_continue(),
+                "every cube around the point is looked at"
+            );
+        }
+        let side = match mask {
+            0 => Side::Outside,
+            u8::MAX => Side::Inside,
+            _ => Side::Boundary,
+        };
+        (side, holder)
     }
 }
 
-/// Recounts the totals from the places of the cubes alone, sharing no state with any engine. O(cubes).
-pub fn recount(edge: Edge, cubes: impl Iterator<Item = Place>) -> Totals {
-    let mut engine = Engine::new(edge);
-    for (index, place) in cubes.enumerate() {
-        let _ = engine.apply(&Effect {
-            deleted: vec![],
-            inserted: vec![(CubeId(index as u64), place)],
-        });
+/// Least lower corner of a cube that can hold the point; none when no cube can lie there.
+fn lower_corner_of_reach(point: [i32; 3], edge: i32) -> Option<[i32; 3]> {
+    let mut min = [0; 3];
+    for axis in 0..3 {
+        min[axis] = point[axis].checked_sub(edge)?;
     }
-    engine.totals()
+    Some(min)
+}
+
+/// The octants around `point` that the cube at `corner` fills; the closed cube holds the point.
+fn octants_filled(corner: [i32; 3], point: [i32; 3], edge: i32) -> u8 {
+    // Per axis the octants below and above: see `OctantMask` for the order of the bits.
+    const SIDES: [[u8; 2]; 3] = [
+        [0b0101_0101, 0b1010_1010],
+        [0b0011_0011, 0b1100_1100],
+        [0b0000_1111, 0b1111_0000],
+    ];
+    let mut mask = u8::MAX;
+    for axis in 0..3 {
+        let [below, above] = SIDES[axis];
+        if point[axis] == corner[axis] {
+            mask &= above;
+        } else if point[axis] == corner[axis] + edge {
+            mask &= below;
+        }
+    }
+    mask
+}
+
+/// Bytes that an engine takes, without the allocator's own.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct EngineSize {
+    /// Cubes by id.
+    pub ids: usize,
+    /// Cubes by place.
+    pub grid: usize,
 }

@@ -82,6 +82,11 @@ impl Place {
         Ok(Self(place))
     }
 
+    /// The place of a corner that came from a `Place` of the same edge: for storage that keeps coordinates in columns.
+    pub(crate) const fn from_checked(corner: [i32; 3]) -> Self {
+        Self(corner)
+    }
+
     /// The lower corner: x, y, z in steps.
     pub const fn corner(self) -> [i32; 3] {
         self.0

@@ -46,11 +46,12 @@ const fn weights_of(mask: OctantMask) -> Weights {
         euler8: 0,
         vertex: None,
     };
-    let (mut half_edges, mut quarter_faces) = (0, 0);
+    let (mut half_edges, mut quarter_faces, mut octants) = (0, 0, 0);
     let mut octant = 0;
     while octant < 8 {
         let side = [octant & 1, octant >> 1 & 1, octant >> 2];
         if mask.filled(side) {
+            octants += 1;
             weights.volume += sign(side[0]) * sign(side[1]) * sign(side[2]);
         }
         octant += 1;
@@ -105,7 +106,6 @@ const fn weights_of(mask: OctantMask) -> Weights {
         }
         axis += 1;
     }
-    let octants = mask.0.count_ones().cast_signed() as i8;
     let point = if mask.0 == 0 { 0 } else { 8 };
     weights.euler8 = point - 4 * half_edges + 2 * quarter_faces - octants;
     weights.vertex = vertex_of(mask);

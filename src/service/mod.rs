@@ -1,12 +1,39 @@
-//! Scenes and their writers (skeleton: the contract with `wire` and `cli`).
+//! Scenes and their writers: from a submitted change to durable, published totals.
 //!
 //! Knows scenes, queues, threads and durability. Never knows HTTP, JSON, user units or floats.
+//!
+//! ```text
+//!   Service (registry) ── names to scenes, the data directory and its lock
+//!     └─ Scene ── what clients hold: change, published, subscribe, history, questions
+//!          │  inbox (bounded)                ▲ feed (totals that are durable)
+//!          ▼                                 │
+//!        writer ── one thread: judge, apply, append with one sync, publish, answer
+//!          └─ recover ── the way in: open the log, replay it, compare every total
+//! ```
 
-use std::{path::PathBuf, sync::Arc, time::Duration};
+mod inbox;
+mod meters;
+mod offline;
+mod recover;
+mod registry;
+mod scene;
+mod writer;
 
-use crate::engine::{Counts, Cursor, Op, Rejected, Side};
-use crate::geometry::{CubeId, Edge, Place, Totals};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use crate::engine::{Counts, Op, Rejected};
+use crate::geometry::{CubeId, Place, Totals};
+use crate::log::LogError;
 pub use crate::log::{HistoryRow, Seq};
+pub use meters::describe_metrics;
+pub use offline::{Offline, OfflineAudit};
+pub use registry::Service;
+pub use scene::Scene;
+
+/// Most operations of one change: what one record of the log holds.
+pub const CHANGE_OPERATIONS_MAX: usize = crate::log::RECORD_CUBES_MAX;
 
 /// How the service runs. Everything has a default but the directory.
 #[derive(Clone, Debug)]
@@ -126,7 +153,7 @@ pub enum SceneState {
     },
 }
 
-/// Why the service did not do what it was asked. Nothing has changed then.
+/// Why the service did not do what it was asked. Nothing has changed then, with the one exception that [`Scene::change`] names.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum ServiceError {
     /// No scene of this name.
@@ -223,143 +250,69 @@ pub struct Audit {
     pub recounted: Totals,
 }
 
-/// All scenes of a data directory.
-#[derive(Clone, Debug)]
-pub struct Service {}
+/// Where a test makes the disk fail.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum FaultStep {
+    /// Before a log is opened.
+    Open,
+    /// Before a group is appended: the disk keeps nothing of it.
+    Append,
+    /// After a group was appended: the disk keeps it, but the writer does not know.
+    Appended,
+}
 
-/// One scene.
-#[derive(Debug)]
-pub struct Scene {}
+/// Asked at every [`FaultStep`]: the error to fail with, if any. For tests only.
+pub type FaultHook = Arc<dyn Fn(FaultStep) -> Option<LogError> + Send + Sync>;
 
-#[expect(unused_variables, reason = "skeleton")]
-impl Service {
-    /// Locks the data directory and starts to replay its scenes in the background.
-    pub fn start(config: ServiceConfig) -> Result<Self, StartError> {
-        unimplemented!()
-    }
-    /// Whether replay is done.
-    pub fn readiness(&self) -> Readiness {
-        unimplemented!()
-    }
-    /// Creates a scene, durably; true when it is new, false when it was there with the same settings.
-    pub async fn create(
-        &self,
-        name: &SceneName,
-        edge: Edge,
-        settings: &str,
-    ) -> Result<(Arc<Scene>, bool), ServiceError> {
-        unimplemented!()
-    }
-    /// Drops a scene with its data.
-    pub async fn remove(&self, name: &SceneName) -> Result<(), ServiceError> {
-        unimplemented!()
-    }
-    /// A scene by name.
-    pub fn scene(&self, name: &str) -> Result<Arc<Scene>, ServiceError> {
-        unimplemented!()
-    }
-    /// All scenes, by name.
-    pub fn scenes(&self) -> Vec<Arc<Scene>> {
-        unimplemented!()
-    }
-    /// Refuses new changes, finishes those that wait, closes the logs.
-    pub async fn shutdown(&self) {
-        unimplemented!()
+impl ServiceConfig {
+    /// The defaults, for a data directory.
+    pub fn new(data: impl Into<PathBuf>) -> Self {
+        Self {
+            data: data.into(),
+            queue_changes_max: 1024,
+            group_operations_max: 65_536,
+            history_changes_max: 10_000_000,
+            idempotency_keys_max: 100_000,
+            probe_interval: Duration::from_secs(1),
+        }
     }
 }
 
 impl SceneName {
+    /// Most bytes of a name.
+    const BYTES_MAX: usize = 63;
+
     /// Checks a name; the error says what is wrong.
     pub fn new(name: &str) -> Result<Self, String> {
-        let _ = name;
-        unimplemented!()
+        let Some(first) = name.bytes().next() else {
+            return Err("a scene's name is empty".to_owned());
+        };
+        if name.len() > Self::BYTES_MAX {
+            return Err(format!(
+                "a scene's name has {} bytes; the most is {}",
+                name.len(),
+                Self::BYTES_MAX
+            ));
+        }
+        let plain = |byte: u8| byte.is_ascii_lowercase() || byte.is_ascii_digit();
+        if !plain(first) {
+            return Err(format!(
+                "a scene's name begins with a-z or 0-9, not {name:?}"
+            ));
+        }
+        match name
+            .chars()
+            .find(|&c| !(c.is_ascii_lowercase() || c.is_ascii_digit() || "._-".contains(c)))
+        {
+            Some(wrong) => Err(format!(
+                "a scene's name is made of a-z, 0-9, '.', '_' and '-', not {wrong:?}"
+            )),
+            None => Ok(Self(name.to_owned())),
+        }
     }
+
     /// The name.
     pub fn as_str(&self) -> &str {
         &self.0
-    }
-}
-
-#[expect(unused_variables, reason = "skeleton")]
-impl Scene {
-    /// Its name.
-    pub fn name(&self) -> &SceneName {
-        unimplemented!()
-    }
-    /// Its settings, as given to `create`.
-    pub fn settings(&self) -> &str {
-        unimplemented!()
-    }
-    /// Edge of its cubes.
-    pub fn edge(&self) -> Edge {
-        unimplemented!()
-    }
-    /// Random name of this life of the scene.
-    pub fn incarnation(&self) -> u64 {
-        unimplemented!()
-    }
-    /// How it is.
-    pub fn state(&self) -> SceneState {
-        unimplemented!()
-    }
-    /// Newest durable totals. Never waits for the writer.
-    pub fn published(&self) -> Result<Published, ServiceError> {
-        unimplemented!()
-    }
-    /// Submits a change and waits until it is durable. Dropping the future does not undo the change.
-    pub async fn change(&self, submission: Submission) -> Result<Applied, ServiceError> {
-        unimplemented!()
-    }
-    /// Newest totals now and whenever they change; a slow reader skips to the newest. None once the scene is dropped or stopped.
-    pub fn subscribe(&self) -> Result<tokio::sync::watch::Receiver<Published>, ServiceError> {
-        unimplemented!()
-    }
-    /// The first published state at or after `seq`; None after `timeout`.
-    pub async fn wait_for(
-        &self,
-        seq: Seq,
-        timeout: Duration,
-    ) -> Result<Option<Published>, ServiceError> {
-        unimplemented!()
-    }
-    /// A past state.
-    pub async fn at(&self, seq: Seq) -> Result<Published, ServiceError> {
-        unimplemented!()
-    }
-    /// Rows of the history from `from` to `to`, at most `limit`.
-    pub async fn history(
-        &self,
-        from: Seq,
-        to: Seq,
-        limit: usize,
-    ) -> Result<Vec<HistoryRow>, ServiceError> {
-        unimplemented!()
-    }
-    /// Where a cube is.
-    pub async fn cube(&self, id: CubeId) -> Result<Option<Place>, ServiceError> {
-        unimplemented!()
-    }
-    /// A page of cubes, as `Engine::page`.
-    pub async fn page(
-        &self,
-        after: Option<Cursor>,
-        limit: usize,
-    ) -> Result<(Vec<(CubeId, Place)>, Option<Cursor>), ServiceError> {
-        unimplemented!()
-    }
-    /// All cubes as of one seq.
-    pub async fn cubes(&self) -> Result<(Seq, Vec<(CubeId, Place)>), ServiceError> {
-        unimplemented!()
-    }
-    /// Where a point lies.
-    pub async fn contains(
-        &self,
-        point: [i32; 3],
-    ) -> Result<(Seq, Side, Option<(CubeId, Place)>), ServiceError> {
-        unimplemented!()
-    }
-    /// Recounts everything from the cubes alone, on another thread, and compares.
-    pub async fn audit(&self) -> Result<Audit, ServiceError> {
-        unimplemented!()
     }
 }

@@ -1,0 +1,20 @@
+# Two stages: the build needs a C compiler (SQLite is compiled in), the result needs only the C library.
+FROM rust:1.95-slim-bookworm AS build
+WORKDIR /union3d
+COPY Cargo.toml Cargo.lock ./
+COPY proto proto
+COPY src src
+RUN cargo build --release --locked --bin union3d \
+    && mkdir /data
+
+FROM gcr.io/distroless/cc-debian12:nonroot
+COPY --from=build /union3d/target/release/union3d /usr/local/bin/union3d
+# The user of this image (65532) owns the data directory, so that a fresh volume is writable.
+COPY --from=build --chown=65532:65532 /data /data
+USER 65532:65532
+VOLUME /data
+EXPOSE 7373
+STOPSIGNAL SIGTERM
+# Inside a container loopback is the container's own: listen on every address and let the published ports decide.
+ENTRYPOINT ["/usr/local/bin/union3d"]
+CMD ["serve", "--http", "0.0.0.0:7373", "--data", "/data"]

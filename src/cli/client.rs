@@ -1,0 +1,395 @@
+//! A client of the public HTTP API: makes a scene, streams cubes into it, reads what they measure.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use bytes::Bytes;
+use prost::Message;
+use reqwest::{StatusCode, Url, header};
+use serde_json::{Value, json, value::RawValue};
+use tokio::task::JoinSet;
+
+use union3d::geometry::Place;
+use union3d::wire::proto::Change;
+
+/// Cubes in one change of a stream.
+pub(crate) const BATCH_CUBES: usize = 4_096;
+
+/// Changes sent ahead of their answers, so that those which wait together share one sync of the server's disk.
+const CHANGES_IN_FLIGHT_MAX: usize = 8;
+
+/// How long a server that cannot be reached, or cannot answer yet, is asked again.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// Why the server did not do what it was asked.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum Failure {
+    /// The address is no address.
+    #[error("{server:?} is no address of a server: {cause} (try http://127.0.0.1:7373)")]
+    Address { server: String, cause: String },
+    /// Nobody answers.
+    #[error("cannot reach {url}: {cause} (is the server running? `union3d serve` starts one)")]
+    Unreachable { url: Url, cause: String },
+    /// It answers with a problem.
+    #[error("{url} answers {status}: {detail}")]
+    Refused {
+        url: Url,
+        status: StatusCode,
+        detail: String,
+    },
+    /// The scene cannot take these cubes.
+    #[error(
+        "scene {scene:?} exists with {name} {there}, these cubes need {wanted}: choose another --scene, or the same {name}"
+    )]
+    OtherScene {
+        scene: String,
+        name: &'static str,
+        there: String,
+        wanted: String,
+    },
+    /// Its answer cannot be read.
+    #[error(
+        "cannot make sense of the answer of {url}: {cause} (is this a union3d server of the same version?)"
+    )]
+    Answer { url: Url, cause: String },
+}
+
+/// What the scene must be like for these cubes.
+#[derive(Clone, PartialEq, Debug)]
+pub(crate) struct SceneWanted {
+    /// Its name.
+    pub(crate) name: String,
+    /// Edge of its cubes, in user units.
+    pub(crate) edge: f64,
+    /// Lattice steps in a user unit.
+    pub(crate) steps_per_unit: u32,
+    /// Label of the user unit.
+    pub(crate) unit: String,
+}
+
+/// One scene of one server.
+#[derive(Clone, Debug)]
+pub(crate) struct Client {
+    http: reqwest::Client,
+    scene: Url,
+    /// Whether the server has answered before: then it is worth waiting for when it is away.
+    reached: bool,
+}
+
+impl Client {
+    /// The scene that is wanted, made if it is not there, and the largest id in it (0 when it is empty).
+    pub(crate) async fn open(server: &str, wanted: &SceneWanted) -> Result<(Self, u64), Failure> {
+        let address = |cause: String| Failure::Address {
+            server: server.to_owned(),
+            cause,
+        };
+        let server_url = Url::parse(server).map_err(|error| address(error.to_string()))?;
+        if server_url.scheme() != "http" {
+            return Err(address("it does not begin with http://".to_owned()));
+        }
+        let mut scene = server_url;
+        scene
+            .path_segments_mut()
+            .map_err(|()| address("it has no path".to_owned()))?
+            .pop_if_empty()
+            .extend(["v1", "scenes", &wanted.name]);
+        let http = reqwest::Client::builder()
+            .connect_timeout(Duration::from_secs(5))
+            .build()
+            .map_err(|error| address(causes(&error)))?;
+        let mut this = Self {
+            http,
+            scene,
+            reached: false,
+        };
+        let request = this.http.get(this.scene.clone());
+        let answer = this.ask(request).await;
+        this.reached = true;
+        match answer {
+            Ok(text) => {
+                let there = parse(&this.scene, &text)?;
+                compare(wanted, &there)?;
+                let largest = if field(&there, "cubes").as_u64() == Some(0) {
+                    0
+                } else {
+                    this.largest_id().await?
+                };
+                Ok((this, largest))
+            }
+            Err(Failure::Refused { status, .. }) if status == StatusCode::NOT_FOUND => {
+                let settings = json!({
+                    "edge": wanted.edge,
+                    "steps_per_unit": wanted.steps_per_unit,
+                    "unit": wanted.unit,
+                });
+                let request = this.http.put(this.scene.clone()).json(&settings);
+                this.ask(request).await?;
+                Ok((this, 0))
+            }
+            Err(failure) => Err(failure),
+        }
+    }
+
+    /// Address of the scene.
+    pub(crate) fn url(&self) -> &Url {
+        &self.scene
+    }
+
+    /// Its mass properties as the server wrote them.
+    pub(crate) async fn mass_properties(&self) -> Result<Box<RawValue>, Failure> {
+        let url = self.below("mass-properties");
+        let text = self.ask(self.http.get(url.clone())).await?;
+        RawValue::from_string(text).map_err(|error| Failure::Answer {
+            url,
+            cause: error.to_string(),
+        })
+    }
+
+    /// Inserts cubes with the ids from `first_id` on, durably. Sent again it changes nothing, so a lost answer is no harm.
+    pub(crate) async fn insert(&self, first_id: u64, places: &[Place]) -> Result<(), Failure> {
+        let mut url = self.below("changes");
+        url.set_query(Some("return=minimal"));
+        self.change(url, first_id, places).await.map(drop)
+    }
+
+    /// As [`Self::insert`], answering the mass properties after it.
+    pub(crate) async fn insert_and_measure(
+        &self,
+        first_id: u64,
+        places: &[Place],
+    ) -> Result<Value, Failure> {
+        let url = self.below("changes");
+        let text = self.change(url.clone(), first_id, places).await?;
+        Ok(parse(&url, &text)?["mass_properties"].take())
+    }
+
+    async fn change(&self, url: Url, first_id: u64, places: &[Place]) -> Result<String, Failure> {
+        let column = |axis: usize| places.iter().map(|place| place.corner()[axis]).collect();
+        let change = Change {
+            delete: vec![],
+            insert_id: (first_id..).take(places.len()).collect(),
+            x: column(0),
+            y: column(1),
+            z: column(2),
+        };
+        let request = self
+            .http
+            .post(url)
+            .header(header::CONTENT_TYPE, "application/x-protobuf")
+            .body(Bytes::from(change.encode_to_vec()));
+        self.ask(request).await
+    }
+
+    /// The largest id in the scene, from the listing of all its cubes.
+    async fn largest_id(&self) -> Result<u64, Failure> {
+        let url = self.below("cubes");
+        let request = self
+            .http
+            .get(url.clone())
+            .header(header::ACCEPT, "application/x-ndjson");
+        let mut answer = self.send(request).await?;
+        let unreadable = |cause: String| Failure::Answer {
+            url: url.clone(),
+            cause,
+        };
+        let (mut largest, mut rest) = (0, Vec::new());
+        loop {
+            let piece = answer
+                .chunk()
+                .await
+                .map_err(|error| unreadable(causes(&error)))?;
+            rest.extend_from_slice(piece.as_deref().unwrap_or(b"\n"));
+            let whole = rest
+                .iter()
+                .rposition(|byte| *byte == b'\n')
+                .map_or(0, |end| end + 1);
+            for line in rest[..whole].split(|byte| *byte == b'\n') {
+                if !line.trim_ascii().is_empty() {
+                    let cube: Value = serde_json::from_slice(line)
+                        .map_err(|error| unreadable(error.to_string()))?;
+                    let id = cube["insert"]["id"].as_u64();
+                    largest =
+                        largest.max(id.ok_or_else(|| unreadable("a cube without id".into()))?);
+                }
+            }
+            rest.drain(..whole);
+            if piece.is_none() {
+                return Ok(largest);
+            }
+        }
+    }
+
+    fn below(&self, name: &str) -> Url {
+        let mut url = self.scene.clone();
+        if let Ok(mut segments) = url.path_segments_mut() {
+            segments.push(name);
+        }
+        url
+    }
+
+    async fn ask(&self, request: reqwest::RequestBuilder) -> Result<String, Failure> {
+        let answer = self.send(request).await?;
+        let url = answer.url().clone();
+        answer.text().await.map_err(|error| Failure::Answer {
+            url,
+            cause: causes(&error),
+        })
+    }
+
+    /// Sends a request until it is answered: a full queue is waited for as long as it takes, a server that is away or not
+    /// ready for a while. Every request of this client may be repeated.
+    async fn send(&self, request: reqwest::RequestBuilder) -> Result<reqwest::Response, Failure> {
+        let started = Instant::now();
+        loop {
+            let attempt = request.try_clone().expect("no body is a stream");
+            let wait = match attempt.send().await {
+                Ok(answer) if answer.status().is_success() => return Ok(answer),
+                Ok(answer) => {
+                    let patient = match answer.status() {
+                        StatusCode::TOO_MANY_REQUESTS => true,
+                        StatusCode::SERVICE_UNAVAILABLE => started.elapsed() < PATIENCE,
+                        _ => false,
+                    };
+                    if !patient {
+                        return Err(refusal(answer).await);
+                    }
+                    retry_after(&answer)
+                }
+                Err(error)
+                    if self.reached && !error.is_builder() && started.elapsed() < PATIENCE =>
+                {
+                    Duration::from_millis(200)
+                }
+                Err(error) => {
+                    return Err(Failure::Unreachable {
+                        url: error.url().unwrap_or(&self.scene).clone(),
+                        cause: causes(&error),
+                    });
+                }
+            };
+            tokio::time::sleep(wait).await;
+        }
+    }
+}
+
+/// Sends cubes ahead of their answers, numbered in the order they come.
+#[derive(Debug)]
+pub(crate) struct Stream {
+    client: Arc<Client>,
+    next_id: u64,
+    in_flight: JoinSet<Result<(), Failure>>,
+}
+
+impl Stream {
+    /// A stream into the scene whose ids begin after `largest_id`.
+    pub(crate) fn new(client: Client, largest_id: u64) -> Self {
+        Self {
+            client: Arc::new(client),
+            next_id: largest_id + 1,
+            in_flight: JoinSet::new(),
+        }
+    }
+
+    /// Sends one batch; waits only while too many are on their way. The failure may be an earlier batch's.
+    pub(crate) async fn send(&mut self, places: Vec<Place>) -> Result<(), Failure> {
+        while self.in_flight.len() >= CHANGES_IN_FLIGHT_MAX {
+            self.settle_one().await?;
+        }
+        let first_id = self.next_id;
+        self.next_id += places.len() as u64;
+        let client = Arc::clone(&self.client);
+        self.in_flight
+            .spawn(async move { client.insert(first_id, &places).await });
+        Ok(())
+    }
+
+    /// Waits until everything sent is durable, and reads what the scene measures then.
+    pub(crate) async fn finish(mut self) -> Result<Box<RawValue>, Failure> {
+        while !self.in_flight.is_empty() {
+            self.settle_one().await?;
+        }
+        self.client.mass_properties().await
+    }
+
+    async fn settle_one(&mut self) -> Result<(), Failure> {
+        match self.in_flight.join_next().await {
+            None => Ok(()),
+            Some(Ok(outcome)) => outcome,
+            Some(Err(error)) => std::panic::resume_unwind(error.into_panic()),
+        }
+    }
+}
+
+fn parse(url: &Url, text: &str) -> Result<Value, Failure> {
+    serde_json::from_str(text).map_err(|error| Failure::Answer {
+        url: url.clone(),
+        cause: error.to_string(),
+    })
+}
+
+/// Whether a scene that is there can take the cubes.
+fn compare(wanted: &SceneWanted, there: &Value) -> Result<(), Failure> {
+    let settings = [
+        ("edge", json!(wanted.edge)),
+        ("steps_per_unit", json!(wanted.steps_per_unit)),
+        ("unit", json!(wanted.unit)),
+    ];
+    for (name, value) in settings {
+        let found = field(there, name);
+        let equal = match (found.as_f64(), value.as_f64()) {
+            (Some(found), Some(value)) => (found - value).abs() <= value.abs() * 1e-12,
+            _ => *found == value,
+        };
+        if !equal {
+            return Err(Failure::OtherScene {
+                scene: wanted.name.clone(),
+                name,
+                there: found.to_string(),
+                wanted: value.to_string(),
+            });
+        }
+    }
+    Ok(())
+}
+
+/// A field of a scene's description, whether its settings stand by themselves or not.
+fn field<'value>(scene: &'value Value, name: &str) -> &'value Value {
+    match &scene[name] {
+        Value::Null => &scene["settings"][name],
+        found => found,
+    }
+}
+
+async fn refusal(answer: reqwest::Response) -> Failure {
+    let (url, status) = (answer.url().clone(), answer.status());
+    let text = answer.text().await.unwrap_or_default();
+    let problem: Value = serde_json::from_str(&text).unwrap_or_default();
+    let detail = problem["detail"]
+        .as_str()
+        .or(problem["title"].as_str())
+        .unwrap_or(text.trim());
+    Failure::Refused {
+        url,
+        status,
+        detail: detail.to_owned(),
+    }
+}
+
+fn retry_after(answer: &reqwest::Response) -> Duration {
+    let seconds = answer
+        .headers()
+        .get(header::RETRY_AFTER)
+        .and_then(|value| value.to_str().ok()?.parse().ok());
+    Duration::from_secs(seconds.unwrap_or(1)).max(Duration::from_millis(100))
+}
+
+/// An error with all that caused it: the outermost alone says little.
+fn causes(error: &dyn std::error::Error) -> String {
+    let mut text = error.to_string();
+    let mut next = error.source();
+    while let Some(cause) = next {
+        text = cause.to_string();
+        next = cause.source();
+    }
+    text
+}

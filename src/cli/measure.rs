@@ -1,0 +1,441 @@
+//! `union3d measure`: mass properties of a file of cubes.
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use clap::ValueEnum;
+use serde::Deserialize;
+use serde_json::Value;
+
+use super::{Outcome, input, progress, report};
+use union3d::engine::{Engine, Op, Rejected};
+use union3d::geometry::{CubeId, InvalidCube, Place};
+use union3d::wire::convert::{self, Anchor, Settings, WantedSettings};
+
+/// Operations judged and applied together.
+const BATCH_OPERATIONS: usize = 65_536;
+
+/// How much of the input is looked at to tell what it is.
+const DETECTION_BYTES: usize = 8_192;
+
+/// Longest line of text.
+const LINE_BYTES_MAX: u64 = 65_536;
+
+/// Measure the union of the cubes in a file, without a server
+#[derive(Debug, clap::Args)]
+#[command(
+    long_about = "Measures the union of the cubes in a file, exactly, without a server.
+
+The file is one of:
+  .csv     x,y,z or id,x,y,z in user units, a line each; the first line may name the columns
+  .ndjson  {\"id\":1,\"at\":[0,0,2.5]} a line each, or the lines of a scene's listing and of a stream of changes, \
+{\"insert\":{\"id\":1,\"at\":[0,0,2.5]}} and {\"delete\":1}, which act in their order
+  .i32     lower corners in lattice steps, as little-endian 32-bit triplets (`union3d mill --out` writes them)
+Any other name, and standard input, is told by its content. Positions are lower corners unless --anchor center; they are rounded to the \
+lattice, halves away from zero. An id may be repeated at the same place, and counts once; without ids every line is a cube.",
+    after_long_help = "Examples:
+  union3d measure cubes.csv --edge 0.01
+  printf '0,0,0\\n1,0,0\\n' | union3d measure - --edge 1
+  curl -H 'accept: application/x-ndjson' http://127.0.0.1:7373/v1/scenes/pocket/cubes |
+    union3d measure - --edge 3.175 --json"
+)]
+pub(crate) struct Args {
+    /// The cubes; - is standard input.
+    file: PathBuf,
+    /// Edge of every cube, in user units: a whole number of lattice steps.
+    #[arg(long, value_name = "LENGTH")]
+    edge: f64,
+    /// Lattice steps in a user unit: positions are rounded to them.
+    #[arg(long, value_name = "STEPS", default_value_t = 1000)]
+    steps_per_unit: u32,
+    /// What the positions of CSV and NDJSON are.
+    #[arg(long, value_enum, default_value_t = At::Corner)]
+    anchor: At,
+    /// What the file is, whatever its name and content.
+    #[arg(long, value_enum)]
+    format: Option<Format>,
+    /// Print the API's `mass_properties` object alone.
+    #[arg(long)]
+    json: bool,
+}
+
+/// What a position is.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, ValueEnum)]
+enum At {
+    /// The lower corner of a cube.
+    Corner,
+    /// The centre of a cube.
+    Center,
+}
+
+/// What a file of cubes is.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, ValueEnum)]
+enum Format {
+    /// x,y,z or id,x,y,z
+    Csv,
+    /// A JSON object a line
+    Ndjson,
+    /// Little-endian 32-bit triplets
+    I32,
+}
+
+type Failure = Box<dyn std::error::Error>;
+
+/// Runs `measure`.
+pub(crate) fn run(args: Args) -> Outcome {
+    let Args {
+        file,
+        edge,
+        steps_per_unit,
+        anchor,
+        format,
+        json,
+    } = args;
+    let wanted = WantedSettings {
+        steps_per_unit: steps_per_unit.into(),
+        anchor: match anchor {
+            At::Corner => Anchor::Corner,
+            At::Center => Anchor::Center,
+        },
+        ..WantedSettings::with_edge(edge)
+    };
+    let settings = Settings::check(wanted).map_err(|faults| input::faults(&faults))?;
+    let (source, size) = input::open(&file)?;
+    let bar = progress::bytes(size);
+    let mut source = BufReader::with_capacity(DETECTION_BYTES.max(1 << 16), bar.wrap_read(source));
+    let format = match format.or_else(|| named(&file)) {
+        Some(format) => format,
+        None => detect(&mut source)?,
+    };
+    let mut scene = Scene::new(&settings);
+    let read = match format {
+        Format::Csv => read_csv(source, &mut scene),
+        Format::Ndjson => read_ndjson(source, &mut scene),
+        Format::I32 => read_i32(source, &mut scene),
+    };
+    let read = read.and_then(|()| scene.apply());
+    bar.finish_and_clear();
+    read.map_err(|failure| format!("{}: {failure}", file.display()))?;
+    let properties = convert::mass_properties(None, None, &scene.engine.totals(), &settings);
+    let mut output = std::io::stdout().lock();
+    if json {
+        writeln!(output, "{}", serde_json::to_string(&properties)?)?;
+    } else {
+        let properties = serde_json::to_value(&properties)?;
+        write!(output, "{}", report::table(&properties, "unit"))?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn named(path: &Path) -> Option<Format> {
+    match path.extension()?.to_str()?.to_ascii_lowercase().as_str() {
+        "csv" => Some(Format::Csv),
+        "ndjson" | "jsonl" => Some(Format::Ndjson),
+        "i32" => Some(Format::I32),
+        _ => None,
+    }
+}
+
+/// Text has no zero bytes and no control letters but white space; triplets of ordinary coordinates have them everywhere.
+fn detect(source: &mut impl BufRead) -> std::io::Result<Format> {
+    let start = source.fill_buf()?;
+    let start = &start[..start.len().min(DETECTION_BYTES)];
+    let binary = |byte: &u8| *byte == 0x7f || (*byte < 0x20 && !byte.is_ascii_whitespace());
+    Ok(
+        if start.iter().any(binary)
+            || std::str::from_utf8(start).is_err_and(|error| error.error_len().is_some())
+        {
+            Format::I32
+        } else if start.trim_ascii_start().first() == Some(&b'{') {
+            Format::Ndjson
+        } else {
+            Format::Csv
+        },
+    )
+}
+
+/// The cubes read so far, and the operations not applied yet.
+struct Scene<'settings> {
+    settings: &'settings Settings,
+    engine: Engine,
+    waiting: Vec<Op>,
+    /// Where each waiting operation stands, for errors: lines, or numbers of cubes.
+    places: Vec<u64>,
+    /// What `places` counts.
+    counted: &'static str,
+    /// Whether the first cube had an id; all must do the same.
+    ids: Option<bool>,
+    next_id: u64,
+}
+
+impl<'settings> Scene<'settings> {
+    fn new(settings: &'settings Settings) -> Self {
+        Self {
+            settings,
+            engine: Engine::new(settings.edge()),
+            waiting: Vec::new(),
+            places: Vec::new(),
+            counted: "line",
+            ids: None,
+            next_id: 1,
+        }
+    }
+
+    /// A cube at a position in user units.
+    fn insert_at(&mut self, line: u64, id: Option<u64>, at: [f64; 3]) -> Result<(), Failure> {
+        let place = self.settings.place(at).map_err(|(axis, invalid)| {
+            format!(
+                "line {line}: {} = {}: {invalid}",
+                ["x", "y", "z"][axis],
+                at[axis]
+            )
+        })?;
+        if *self.ids.get_or_insert(id.is_some()) != id.is_some() {
+            return Err(format!(
+                "line {line}: either every cube has an id, or none ({} here)",
+                if id.is_some() {
+                    "there is one"
+                } else {
+                    "there is none"
+                }
+            )
+            .into());
+        }
+        self.insert(line, id, place)
+    }
+
+    fn insert(&mut self, line: u64, id: Option<u64>, place: Place) -> Result<(), Failure> {
+        let id = id.unwrap_or(self.next_id);
+        self.next_id += 1;
+        self.push(line, Op::Insert(CubeId(id), place))
+    }
+
+    fn push(&mut self, line: u64, op: Op) -> Result<(), Failure> {
+        self.waiting.push(op);
+        self.places.push(line);
+        if self.waiting.len() == BATCH_OPERATIONS {
+            self.apply()?;
+        }
+        Ok(())
+    }
+
+    fn apply(&mut self) -> Result<(), Failure> {
+        let judged = self.engine.judge(&self.waiting).map_err(|rejected| match rejected {
+            Rejected::IdConflict { index, id, there, .. } => format!(
+                "{} {}: id {} is there already, at another place ({:?}): give every cube an id of its own",
+                self.counted, self.places[index], id.0, self.settings.at(there)
+            ),
+            Rejected::TooManyCubes { .. } => rejected.to_string(),
+        })?;
+        self.engine.apply(&judged.effect)?;
+        self.waiting.clear();
+        self.places.clear();
+        Ok(())
+    }
+}
+
+/// Where a file of CSV has its columns.
+#[derive(Clone, Copy)]
+struct Columns {
+    id: Option<usize>,
+    at: [usize; 3],
+}
+
+fn read_csv(source: impl Read, scene: &mut Scene<'_>) -> Result<(), Failure> {
+    let mut reader = csv::ReaderBuilder::new()
+        .has_headers(false)
+        .flexible(true)
+        .comment(Some(b'#'))
+        .trim(csv::Trim::All)
+        .terminator(csv::Terminator::Any(b'\n'))
+        .from_reader(source.chain(&b"\n"[..]));
+    let mut record = csv::StringRecord::new();
+    let mut columns = None;
+    while reader.read_record(&mut record)? {
+        // The record's own position is that of the blank lines and comments before it. With its end at `\n` alone (a `\r` is
+        // trimmed), and an end after the last one, the reader always stands at the beginning of the next line.
+        let line = reader.position().line() - 1;
+        if record.len() == 1 && record[0].is_empty() {
+            continue;
+        }
+        if columns.is_none() {
+            let (found, header) =
+                find_columns(&record).map_err(|what| format!("line {line}: {what}"))?;
+            columns = Some((found, record.len()));
+            if header {
+                continue;
+            }
+        }
+        let (columns, width) = columns.expect("the first line has set them");
+        if record.len() != width {
+            return Err(format!(
+                "line {line}: {} values, where the first line has {width}",
+                record.len()
+            )
+            .into());
+        }
+        let id = match columns.id.map(|column| &record[column]) {
+            None => None,
+            Some(text) => Some(text.parse::<u64>().map_err(|_| {
+                format!(
+                    "line {line}: id = {text:?} is no whole number from 0 to {}",
+                    u64::MAX
+                )
+            })?),
+        };
+        let mut at = [0.0; 3];
+        for (axis, column) in columns.at.into_iter().enumerate() {
+            let text = &record[column];
+            at[axis] = text.parse().map_err(|_| {
+                format!(
+                    "line {line}: {} = {text:?} is not a number",
+                    ["x", "y", "z"][axis]
+                )
+            })?;
+        }
+        scene.insert_at(line, id, at)?;
+    }
+    Ok(())
+}
+
+/// The columns by the first line, and whether it only names them.
+fn find_columns(first: &csv::StringRecord) -> Result<(Columns, bool), String> {
+    let names: Vec<_> = first
+        .iter()
+        .map(|name| name.trim_start_matches('\u{feff}').to_ascii_lowercase())
+        .collect();
+    let find = |wanted: &str| names.iter().position(|name| name == wanted);
+    let width = names.len();
+    if let (Some(x), Some(y), Some(z)) = (find("x"), find("y"), find("z")) {
+        let id = find("id");
+        if width == 3 + usize::from(id.is_some()) {
+            return Ok((Columns { id, at: [x, y, z] }, true));
+        }
+    } else if names.iter().any(|name| name.parse::<f64>().is_ok()) {
+        match width {
+            3 => {
+                return Ok((
+                    Columns {
+                        id: None,
+                        at: [0, 1, 2],
+                    },
+                    false,
+                ));
+            }
+            4 => {
+                return Ok((
+                    Columns {
+                        id: Some(0),
+                        at: [1, 2, 3],
+                    },
+                    false,
+                ));
+            }
+            _ => {}
+        }
+    }
+    Err(format!(
+        "{:?} is neither x,y,z nor id,x,y,z (as names or numbers, with commas between them)",
+        first
+            .iter()
+            .collect::<Vec<_>>()
+            .join(",")
+            .chars()
+            .take(80)
+            .collect::<String>()
+    ))
+}
+
+/// A line of NDJSON.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Cube {
+    id: Option<u64>,
+    at: [f64; 3],
+}
+
+/// A line of a stream of changes.
+#[derive(Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum Change {
+    Insert(Cube),
+    Delete(u64),
+}
+
+fn read_ndjson(mut source: impl BufRead, scene: &mut Scene<'_>) -> Result<(), Failure> {
+    let mut text = Vec::new();
+    for line in 1.. {
+        text.clear();
+        let size = source
+            .by_ref()
+            .take(LINE_BYTES_MAX)
+            .read_until(b'\n', &mut text)?;
+        if size == 0 {
+            break;
+        }
+        let json = text.trim_ascii();
+        if json.is_empty() {
+            continue;
+        }
+        match parse(json).map_err(|what| format!("line {line}: {what}: {}", excerpt(json)))? {
+            Change::Insert(cube) => scene.insert_at(line, cube.id, cube.at)?,
+            Change::Delete(id) => scene.push(line, Op::Delete(CubeId(id)))?,
+        }
+    }
+    Ok(())
+}
+
+fn parse(json: &[u8]) -> Result<Change, String> {
+    let value: Value = serde_json::from_slice(json).map_err(|error| error.to_string())?;
+    let bare = value.get("at").is_some() || value.get("id").is_some();
+    let change = if bare {
+        Cube::deserialize(value).map(Change::Insert)
+    } else {
+        Change::deserialize(value)
+    };
+    change.map_err(|error| format!("{error} (a line is like {{\"id\":1,\"at\":[0,0,2.5]}})"))
+}
+
+fn excerpt(text: &[u8]) -> String {
+    String::from_utf8_lossy(text).chars().take(80).collect()
+}
+
+fn read_i32(mut source: impl Read, scene: &mut Scene<'_>) -> Result<(), Failure> {
+    scene.counted = "cube";
+    let mut triplet = [0; 12];
+    for number in 1.. {
+        let size = fill(&mut source, &mut triplet)?;
+        if size == 0 {
+            break;
+        }
+        if size < triplet.len() {
+            return Err(format!(
+                "it ends {size} bytes into cube {number}: the size of such a file is a multiple of 12 bytes"
+            )
+            .into());
+        }
+        let mut corner = [0; 3];
+        for (to, bytes) in corner.iter_mut().zip(triplet.as_chunks().0) {
+            *to = i64::from(i32::from_le_bytes(*bytes));
+        }
+        let place = Place::new(corner, scene.settings.edge())
+            .map_err(|invalid: InvalidCube| format!("cube {number}: {invalid}"))?;
+        scene.insert(number, None, place)?;
+    }
+    Ok(())
+}
+
+/// Reads until the buffer is full or the input ends.
+fn fill(source: &mut impl Read, buffer: &mut [u8]) -> std::io::Result<usize> {
+    let mut size = 0;
+    while size < buffer.len() {
+        match source.read(&mut buffer[size..]) {
+            Ok(0) => break,
+            Ok(more) => size += more,
+            Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(size)
+}

@@ -1,0 +1,827 @@
+//! The kernel: what one cube adds to the measures of a union, from the cubes that touch it.
+//!
+//! Works in coordinates local to the cube `c`, which is the box from 0 to L. A *clip* is another cube cut to the frame
+//! from -1 to L+1: the cells that touch `c`. Only lattice points of closed `c` can change their octant mask, and only
+//! next to what `c` newly covers. The points are taken apart until few clips are left, then looked at bit-parallel:
+//!
+//! ```text
+//!   divide(points, clips):   take the clip K with the most points in its core; the core changes nothing
+//!        +--------------+    and the rest is at most three slabs, because cubes of one size overlap
+//!        |  K   :       |    in a corner, an edge or a face; clamp and filter the clips for each slab,
+//!        |......: slab  |    stop where one clip covers it, go on.
+//!        |  slab        |
+//!        +--------------+
+//!   leaf(points, clips):     at most 15 planes an axis cut the points into at most 16 cells; occupancy
+//!                            is 16 rows of 16 bits a layer, before and after in one pass.
+//! ```
+//!
+//! # Source
+//! The local formulas are UNION3's (W. R. Franklin); evaluated once a cube instead of once a grid cell.
+
+#![expect(
+    clippy::inline_always,
+    reason = "what is inlined into a leaf is compiled for the leaf's instructions; left as a call it would not be"
+)]
+
+use ethnum::I256;
+
+use crate::geometry::{Edge, Measures, Place, WEIGHTS};
+
+/// A box of lattice points, both ends included; or of space, as a closed box. Local steps.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) struct Span {
+    pub(super) min: [i32; 3],
+    pub(super) max: [i32; 3],
+}
+
+/// Few enough clips for a leaf: two planes each on one axis and the cube's own two stay below [`PLANES_MAX`].
+const LEAF_CLIPS: usize = 10;
+/// Planes an axis in a leaf: 16 cells are one row of bits.
+const PLANES_MAX: usize = 15;
+const CELLS_MAX: usize = PLANES_MAX + 1;
+const _: () = assert!(LEAF_CLIPS + 2 <= PLANES_MAX && CELLS_MAX == u16::BITS as usize);
+
+/// Up to this edge the measures of one cube's difference fit 64 bits: the greatest is a second moment, at most `L^5`.
+const NARROW_EDGE_MAX: i32 = 6208;
+const _: () = assert!((NARROW_EDGE_MAX as u128).pow(5) < 1 << 63);
+/// Wider ones fit 128 bits, up to the widest there is.
+const _: () = assert!(5 * crate::geometry::EDGE_MAX.ilog2() < 127);
+
+/// The kernel with its working memory.
+#[derive(Debug)]
+pub(super) struct Kernel {
+    edge: i32,
+    wide: bool,
+    /// Whether the processor has what `leaf_avx2` was compiled for.
+    avx2: bool,
+    /// A stack of clips: each level of the division works on the end of it.
+    clips: Vec<Span>,
+    /// Boxes that contain everything the last cube newly covered; kept only when asked for.
+    uncovered: Vec<Span>,
+    collect: bool,
+}
+
+impl Kernel {
+    pub(super) fn new(edge: Edge) -> Self {
+        let edge = edge.steps();
+        Self {
+            edge,
+            wide: edge > NARROW_EDGE_MAX,
+            avx2: avx2(),
+            clips: Vec::new(),
+            uncovered: Vec::new(),
+            collect: false,
+        }
+    }
+
+    /// A kernel that takes the portable path and the widest sums whatever the edge: the slow twin of the fast ones.
+    pub(super) fn plain(edge: Edge) -> Self {
+        Self {
+            wide: true,
+            avx2: false,
+            ..Self::new(edge)
+        }
+    }
+
+    /// F(S + c) - F(S) for the cube at `place`, where S is given by the offsets of those of its cubes that touch c.
+    /// None when c changes nothing: it is covered.
+    pub(super) fn marginal(&mut self, place: Place, offsets: &[[i32; 3]]) -> Option<Measures> {
+        self.collect = false;
+        self.difference(place, offsets)
+    }
+
+    /// Closed boxes, in scene coordinates, that together contain c minus S. Empty when c is covered.
+    pub(super) fn uncovered(
+        &mut self,
+        place: Place,
+        offsets: &[[i32; 3]],
+        boxes: &mut Vec<Span>,
+    ) -> Option<Measures> {
+        self.collect = true;
+        let difference = self.difference(place, offsets);
+        let corner = place.corner();
+        boxes.clear();
+        boxes.extend(self.uncovered.iter().map(|span| span.moved(corner)));
+        difference
+    }
+
+    fn difference(&mut self, place: Place, offsets: &[[i32; 3]]) -> Option<Measures> {
+        self.clips.clear();
+        self.uncovered.clear();
+        if !self.clip(offsets) {
+            return None;
+        }
+        let points = Span {
+            min: [0; 3],
+            max: [self.edge; 3],
+        };
+        let corner = place.corner();
+        if self.wide {
+            let mut sums = Sums::<i128>::default();
+            self.divide(0, points, &mut sums);
+            (sums.volume != 0).then(|| sums.translated::<I256>(corner))
+        } else {
+            let mut sums = Sums::<i64>::default();
+            self.divide(0, points, &mut sums);
+            (sums.volume != 0).then(|| sums.translated::<i128>(corner))
+        }
+    }
+
+    /// Clips the neighbours to the frame; false when one of them is at the very same place.
+    fn clip(&mut self, offsets: &[[i32; 3]]) -> bool {
+        for offset in offsets {
+            if *offset == [0; 3] {
+                return false;
+            }
+            self.clips.push(Span {
+                min: offset.map(|low| low.max(-1)),
+                max: offset.map(|low| (low + self.edge).min(self.edge + 1)),
+            });
+        }
+        true
+    }
+
+    /// Adds the difference at `points` for the clips from `first` on, all of which reach a cell next to the points.
+    fn divide<T: Ring>(&mut self, first: usize, points: Span, sums: &mut Sums<T>) {
+        if self.clips.len() - first <= LEAF_CLIPS {
+            return self.leaf(first, points, sums);
+        }
+        let Some(core) = self.largest_core(first, points) else {
+            return self.divide_thin(first, points, sums);
+        };
+        let mut rest = points;
+        for axis in 0..3 {
+            if rest.min[axis] < core.min[axis] {
+                let mut slab = rest;
+                slab.max[axis] = core.min[axis] - 1;
+                self.descend(first, slab, sums);
+                rest.min[axis] = core.min[axis];
+            }
+            if core.max[axis] < rest.max[axis] {
+                let mut slab = rest;
+                slab.min[axis] = core.max[axis] + 1;
+                self.descend(first, slab, sums);
+                rest.max[axis] = core.max[axis];
+            }
+        }
+    }
+
+    /// Goes on with a part of the points and the clips that reach it, unless one of them covers all that `c` has there.
+    fn descend<T: Ring>(&mut self, first: usize, points: Span, sums: &mut Sums<T>) {
+        let end = self.clips.len();
+        let cells = points.grown();
+        let own = self.own_cells(points);
+        for index in first..end {
+            let clip = self.clips[index];
+            if !clip.reaches(&points) {
+                continue;
+            }
+            if clip.contains(&own) {
+                self.clips.truncate(end);
+                return;
+            }
+            self.clips.push(clip.clamped(&cells));
+        }
+        self.divide(end, points, sums);
+        self.clips.truncate(end);
+    }
+
+    /// The cells of `c` next to the points.
+    #[inline(always)]
+    fn own_cells(&self, points: Span) -> Span {
+        Span {
+            min: [0; 3],
+            max: [self.edge; 3],
+        }
+        .clamped(&points.grown())
+    }
+
+    /// The points around which a clip already fills all of `c`, for the clip that has most of them.
+    fn largest_core(&self, first: usize, points: Span) -> Option<Span> {
+        let mut best = (0, points);
+        for clip in &self.clips[first..] {
+            let mut core = points;
+            let mut count: u128 = 1;
+            for axis in 0..3 {
+                // On the cube's own face the octants beyond it do not change, so a clip that ends there counts too.
+                let low = if clip.min[axis] <= 0 {
+                    0
+                } else {
+                    clip.min[axis] + 1
+                };
+                let high = if clip.max[axis] >= self.edge {
+                    self.edge
+                } else {
+                    clip.max[axis] - 1
+                };
+                core.min[axis] = low.max(points.min[axis]);
+                core.max[axis] = high.min(points.max[axis]);
+                count *= u128::try_from(core.max[axis] - core.min[axis] + 1).unwrap_or(0);
+            }
+            if count > best.0 {
+                best = (count, core);
+            }
+        }
+        (best.0 > 0).then_some(best.1)
+    }
+
+    /// No clip has a core (the points are thin): drop clips within others, then halve the points at the median plane.
+    #[cold]
+    fn divide_thin<T: Ring>(&mut self, first: usize, points: Span, sums: &mut Sums<T>) {
+        let mut kept = first;
+        for index in first..self.clips.len() {
+            let clip = self.clips[index];
+            let within = |other: &Span| other.contains(&clip);
+            // Of equal clips the first stays.
+            let dominated = self.clips[first..kept].iter().any(within)
+                || self.clips[index + 1..]
+                    .iter()
+                    .any(|other| *other != clip && within(other));
+            if !dominated {
+                self.clips[kept] = clip;
+                kept += 1;
+            }
+        }
+        self.clips.truncate(kept);
+        let planes: [Vec<i32>; 3] = std::array::from_fn(|axis| {
+            let ends = self.clips[first..]
+                .iter()
+                .flat_map(|clip| [clip.min[axis], clip.max[axis]]);
+            let mut planes: Vec<i32> = ends
+                .chain([0, self.edge])
+                .filter(|plane| (points.min[axis]..=points.max[axis]).contains(plane))
+                .collect();
+            planes.sort_unstable();
+            planes.dedup();
+            planes
+        });
+        let most = (0..3)
+            .max_by_key(|&axis| planes[axis].len())
+            .expect("there are three axes");
+        if planes[most].len() <= PLANES_MAX {
+            return self.leaf(first, points, sums);
+        }
+        let median = planes[most][planes[most].len() / 2];
+        let (mut below, mut above) = (points, points);
+        below.max[most] = median - 1;
+        above.min[most] = median;
+        self.descend(first, below, sums);
+        self.descend(first, above, sums);
+    }
+
+    /// Looks at all vertices among the points at once, with the widest registers there are.
+    fn leaf<T: Ring>(&mut self, first: usize, points: Span, sums: &mut Sums<T>) {
+        #[cfg(target_arch = "x86_64")]
+        if self.avx2 {
+            #[expect(
+                unsafe_code,
+                reason = "the same code, compiled for instructions that were detected"
+            )]
+            // SAFETY: `avx2` is set only when the processor was found to have every feature that `leaf_avx2` enables.
+            return unsafe { self.leaf_avx2(first, points, sums) };
+        }
+        self.leaf_inlined(first, points, sums);
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
+    fn leaf_avx2<T: Ring>(&mut self, first: usize, points: Span, sums: &mut Sums<T>) {
+        self.leaf_inlined(first, points, sums);
+    }
+
+    #[inline(always)]
+    fn leaf_inlined<T: Ring>(&mut self, first: usize, points: Span, sums: &mut Sums<T>) {
+        let mut planes = [Planes::default(); 3];
+        for axis in 0..3 {
+            let planes = &mut planes[axis];
+            let within = points.min[axis]..=points.max[axis];
+            for plane in [0, self.edge] {
+                if within.contains(&plane) {
+                    planes.insert(plane);
+                }
+            }
+            for clip in &self.clips[first..] {
+                for plane in [clip.min[axis], clip.max[axis]] {
+                    if within.contains(&plane) {
+                        planes.insert(plane);
+                    }
+                }
+            }
+        }
+        let vertices_possible = planes.iter().all(|planes| planes.count > 0);
+        if !vertices_possible && !self.collect {
+            return;
+        }
+
+        // A layer more than there can be, so that a plane's upper layer always exists.
+        let mut before = [Layer::default(); CELLS_MAX];
+        let mut newly = [Layer::default(); CELLS_MAX];
+        let cells_z = planes[2].count + 1;
+        for clip in &self.clips[first..] {
+            let bits: [u32; 3] = std::array::from_fn(|axis| {
+                planes[axis].cells(clip.min[axis], clip.max[axis], points.max[axis])
+            });
+            let pattern = Layer::product(bits[0], bits[1]);
+            for (z, layer) in before.iter_mut().enumerate().take(cells_z) {
+                if bits[2] >> z & 1 == 1 {
+                    *layer = layer.or(pattern);
+                }
+            }
+        }
+        let own = self.own_cells(points);
+        let own: [u32; 3] = std::array::from_fn(|axis| {
+            planes[axis].cells(own.min[axis], own.max[axis], points.max[axis])
+        });
+        let pattern = Layer::product(own[0], own[1]);
+        let mut any = Layer::default();
+        for z in 0..cells_z {
+            if own[2] >> z & 1 == 1 {
+                newly[z] = pattern.and_not(before[z]);
+                any = any.or(newly[z]);
+            }
+        }
+        if any.is_empty() {
+            return;
+        }
+        if self.collect {
+            self.collect_box(points, &planes, &newly, any);
+        }
+        if !vertices_possible {
+            return;
+        }
+        let within = Layer::product((1 << planes[0].count) - 1, (1 << planes[1].count) - 1);
+        for z in 0..planes[2].count {
+            let near = newly[z].or(newly[z + 1]);
+            if near.is_empty() {
+                continue;
+            }
+            let lower = [before[z], before[z].or(newly[z])];
+            let upper = [before[z + 1], before[z + 1].or(newly[z + 1])];
+            let vertices =
+                Layer::vertices(lower[0], upper[0]).or(Layer::vertices(lower[1], upper[1]));
+            let candidates = vertices.and(near.dilated()).and(within);
+            for y in 0..planes[1].count {
+                let mut row = candidates.row(y);
+                if row == 0 {
+                    continue;
+                }
+                let [before, after] = [0, 1].map(|time| {
+                    let corners = [
+                        lower[time].row(y),
+                        lower[time].row(y + 1),
+                        upper[time].row(y),
+                        upper[time].row(y + 1),
+                    ];
+                    corners.map(u32::from)
+                });
+                let mut line = Line::<T>::default();
+                while row != 0 {
+                    let x = row.trailing_zeros();
+                    row &= row - 1;
+                    line.add(
+                        planes[0].at[x as usize],
+                        mask_at(before, x),
+                        mask_at(after, x),
+                    );
+                }
+                sums.add(&line, planes[1].at[y], planes[2].at[z]);
+            }
+        }
+    }
+
+    /// Keeps one box around what a leaf newly covers.
+    #[inline(always)]
+    fn collect_box(
+        &mut self,
+        points: Span,
+        planes: &[Planes; 3],
+        newly: &[Layer; CELLS_MAX],
+        any: Layer,
+    ) {
+        let columns = (0..CELLS_MAX).fold(0, |bits, y| bits | any.row(y));
+        let mut used = [u32::from(columns), 0, 0];
+        for (index, layer) in newly.iter().enumerate() {
+            used[1] |= u32::from(any.row(index) != 0) << index;
+            used[2] |= u32::from(!layer.is_empty()) << index;
+        }
+        let cells = points.grown();
+        let mut span = cells;
+        for axis in 0..3 {
+            let planes = &planes[axis];
+            let (first, last) = (
+                used[axis].trailing_zeros() as usize,
+                used[axis].ilog2() as usize,
+            );
+            if first > 0 {
+                span.min[axis] = planes.at[first - 1];
+            }
+            if last < planes.count {
+                span.max[axis] = planes.at[last];
+            }
+        }
+        self.uncovered.push(span);
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+fn avx2() -> bool {
+    is_x86_feature_detected!("avx2")
+        && is_x86_feature_detected!("bmi1")
+        && is_x86_feature_detected!("bmi2")
+        && is_x86_feature_detected!("lzcnt")
+        && is_x86_feature_detected!("popcnt")
+}
+
+#[cfg(not(target_arch = "x86_64"))]
+fn avx2() -> bool {
+    false
+}
+
+impl Span {
+    /// As closed boxes with a common cell: the clip has a cell next to some point.
+    fn reaches(&self, points: &Self) -> bool {
+        (0..3).all(|axis| self.min[axis] <= points.max[axis] && points.min[axis] <= self.max[axis])
+    }
+
+    /// The closed cube at a corner.
+    pub(super) fn cube(corner: [i32; 3], edge: i32) -> Self {
+        Self {
+            min: corner,
+            max: corner.map(|low| low + edge),
+        }
+    }
+
+    pub(super) fn contains(&self, other: &Self) -> bool {
+        (0..3).all(|axis| self.min[axis] <= other.min[axis] && other.max[axis] <= self.max[axis])
+    }
+
+    fn clamped(&self, to: &Self) -> Self {
+        Self {
+            min: std::array::from_fn(|axis| self.min[axis].max(to.min[axis])),
+            max: std::array::from_fn(|axis| self.max[axis].min(to.max[axis])),
+        }
+    }
+
+    /// The cells next to a box of points.
+    fn grown(&self) -> Self {
+        Self {
+            min: self.min.map(|low| low - 1),
+            max: self.max.map(|high| high + 1),
+        }
+    }
+
+    fn moved(&self, by: [i32; 3]) -> Self {
+        Self {
+            min: std::array::from_fn(|axis| self.min[axis] + by[axis]),
+            max: std::array::from_fn(|axis| self.max[axis] + by[axis]),
+        }
+    }
+
+    /// The box around two boxes.
+    pub(super) fn joined(&self, other: &Self) -> Self {
+        Self {
+            min: std::array::from_fn(|axis| self.min[axis].min(other.min[axis])),
+            max: std::array::from_fn(|axis| self.max[axis].max(other.max[axis])),
+        }
+    }
+
+    /// Volume of the common part of two boxes.
+    pub(super) fn overlap(&self, other: &Self) -> u128 {
+        let common = self.clamped(other);
+        (0..3)
+            .map(|axis| u128::try_from(common.max[axis] - common.min[axis]).unwrap_or(0))
+            .product()
+    }
+}
+
+/// The distinct planes across one axis, in order. Cell `i` lies below plane `i`; the last cell above all of them.
+#[derive(Clone, Copy, Default)]
+struct Planes {
+    at: [i32; PLANES_MAX],
+    count: usize,
+}
+
+impl Planes {
+    #[inline(always)]
+    fn insert(&mut self, plane: i32) {
+        let mut index = self.count;
+        while index > 0 && self.at[index - 1] > plane {
+            index -= 1;
+        }
+        if index > 0 && self.at[index - 1] == plane {
+            return;
+        }
+        assert!(self.count < PLANES_MAX, "a leaf has few planes");
+        self.at.copy_within(index..self.count, index + 1);
+        self.at[index] = plane;
+        self.count += 1;
+    }
+
+    /// Bits of the cells from `min` to `max`, each a plane or beyond the points; `last` is the last point.
+    #[inline(always)]
+    fn cells(&self, min: i32, max: i32, last: i32) -> u32 {
+        let rank = |coordinate: i32| {
+            self.at[..self.count]
+                .iter()
+                .filter(|plane| **plane <= coordinate)
+                .count()
+        };
+        let end = if max > last {
+            self.count + 1
+        } else {
+            rank(max)
+        };
+        (1 << end) - (1 << rank(min).min(end))
+    }
+}
+
+/// One layer of cells: row y is bits 16 y to 16 y + 15 of 256, a bit for each cell along x.
+#[derive(Clone, Copy, Default)]
+struct Layer([u64; 4]);
+
+const EVERY_ROW: u64 = 0x0001_0001_0001_0001;
+const ALL_BUT_LAST: u64 = 0x7fff * EVERY_ROW;
+
+impl Layer {
+    /// Cells whose x is in one set of bits and whose y is in another.
+    #[inline(always)]
+    fn product(x: u32, y: u32) -> Self {
+        let row = u64::from(x) * EVERY_ROW;
+        Self(std::array::from_fn(|word| {
+            let four = u64::from(y) >> (4 * word) & 0b1111;
+            // Spread four bits to the lowest bit of each row, then fill the rows.
+            let lowest = (four | four << 15 | four << 30 | four << 45) & EVERY_ROW;
+            row & (lowest * 0xffff)
+        }))
+    }
+
+    #[inline(always)]
+    fn row(self, y: usize) -> u16 {
+        // The mask makes the narrowing exact.
+        u16::try_from(self.0[y / 4] >> (16 * (y % 4)) & 0xffff).expect("sixteen bits were kept")
+    }
+
+    #[inline(always)]
+    fn or(self, other: Self) -> Self {
+        Self(std::array::from_fn(|word| self.0[word] | other.0[word]))
+    }
+
+    #[inline(always)]
+    fn and(self, other: Self) -> Self {
+        Self(std::array::from_fn(|word| self.0[word] & other.0[word]))
+    }
+
+    #[inline(always)]
+    fn xor(self, other: Self) -> Self {
+        Self(std::array::from_fn(|word| self.0[word] ^ other.0[word]))
+    }
+
+    #[inline(always)]
+    fn and_not(self, other: Self) -> Self {
+        Self(std::array::from_fn(|word| self.0[word] & !other.0[word]))
+    }
+
+    #[inline(always)]
+    fn is_empty(self) -> bool {
+        self.0 == [0; 4]
+    }
+
+    /// The neighbour above along x, for every cell.
+    #[inline(always)]
+    fn next_x(self) -> Self {
+        Self(self.0.map(|word| word >> 1 & ALL_BUT_LAST))
+    }
+
+    /// The neighbour above along y, for every cell.
+    #[inline(always)]
+    fn next_y(self) -> Self {
+        let above = |word: usize| self.0.get(word + 1).map_or(0, |next| next << 48);
+        Self(std::array::from_fn(|word| self.0[word] >> 16 | above(word)))
+    }
+
+    /// Bit (x, y) of the result is the point above cell (x, y): set when any of the four cells around it is.
+    #[inline(always)]
+    fn dilated(self) -> Self {
+        let both = self.or(self.next_x());
+        both.or(both.next_y())
+    }
+
+    /// Points between two layers at which the mask varies along all three axes.
+    #[inline(always)]
+    fn vertices(lower: Self, upper: Self) -> Self {
+        let x = lower.xor(lower.next_x()).or(upper.xor(upper.next_x()));
+        let y = lower.xor(lower.next_y()).or(upper.xor(upper.next_y()));
+        let z = lower.xor(upper);
+        x.or(x.next_y()).and(y.or(y.next_x())).and(z.dilated())
+    }
+}
+
+/// The octant mask at point `x` of four rows: (y, z) below and above.
+#[inline(always)]
+fn mask_at(rows: [u32; 4], x: u32) -> usize {
+    let pair = |row: u32| row >> x & 0b11;
+    (pair(rows[0]) | pair(rows[1]) << 2 | pair(rows[2]) << 4 | pair(rows[3]) << 6) as usize
+}
+
+/// A ring of integers modulo a power of two: sums may wrap on the way, the result is right when it fits.
+pub(super) trait Ring: Copy + Default + PartialEq {
+    fn of(value: i32) -> Self;
+    fn plus(self, other: Self) -> Self;
+    fn times(self, other: Self) -> Self;
+}
+
+impl Ring for i64 {
+    fn of(value: i32) -> Self {
+        value.into()
+    }
+    fn plus(self, other: Self) -> Self {
+        self.wrapping_add(other)
+    }
+    fn times(self, other: Self) -> Self {
+        self.wrapping_mul(other)
+    }
+}
+
+impl Ring for i128 {
+    fn of(value: i32) -> Self {
+        value.into()
+    }
+    fn plus(self, other: Self) -> Self {
+        self.wrapping_add(other)
+    }
+    fn times(self, other: Self) -> Self {
+        self.wrapping_mul(other)
+    }
+}
+
+impl Ring for I256 {
+    fn of(value: i32) -> Self {
+        value.into()
+    }
+    fn plus(self, other: Self) -> Self {
+        self.wrapping_add(other)
+    }
+    fn times(self, other: Self) -> Self {
+        self.wrapping_mul(other)
+    }
+}
+
+/// The table of weights as the kernel reads it: lanes of one vector.
+/// Order: volume, area y, area z, edge x (3), area x, edge y (3), edge z (3), euler, vertices (4).
+type Lanes = [i16; 18];
+/// The first lanes are multiplied by x.
+const LANES_X: usize = 6;
+const AREA_X: usize = 6;
+const EDGE_Y: usize = 7;
+const EDGE_Z: usize = 10;
+const EULER: usize = 13;
+const VERTICES: usize = 14;
+
+static KERNEL_WEIGHTS: [Lanes; 256] = {
+    let mut table = [[0; 18]; 256];
+    let mut mask = 0;
+    while mask < 256 {
+        let weights = &WEIGHTS[mask];
+        let mut lanes = [0; 18];
+        lanes[0] = weights.volume as i16;
+        lanes[1] = weights.area[1] as i16;
+        lanes[2] = weights.area[2] as i16;
+        lanes[AREA_X] = weights.area[0] as i16;
+        let mut kind = 0;
+        while kind < 3 {
+            lanes[3 + kind] = weights.edge[0][kind] as i16;
+            lanes[EDGE_Y + kind] = weights.edge[1][kind] as i16;
+            lanes[EDGE_Z + kind] = weights.edge[2][kind] as i16;
+            kind += 1;
+        }
+        lanes[EULER] = weights.euler8 as i16;
+        if let Some(vertex) = weights.vertex {
+            lanes[VERTICES + vertex as usize] = 1;
+        }
+        table[mask] = lanes;
+        mask += 1;
+    }
+    table
+};
+
+/// Sums along one line of points parallel to x.
+#[derive(Clone, Copy, Default)]
+struct Line<T> {
+    /// Differences of weights. At most 15 points of at most 16 each: no lane overflows.
+    plain: Lanes,
+    /// The first lanes, times x.
+    times_x: [T; LANES_X],
+    /// Volume weights times x^2 and x^3.
+    volume_x2: T,
+    volume_x3: T,
+}
+
+impl<T: Ring> Line<T> {
+    #[inline(always)]
+    fn add(&mut self, x: i32, before: usize, after: usize) {
+        let (before, after) = (&KERNEL_WEIGHTS[before], &KERNEL_WEIGHTS[after]);
+        let lanes: Lanes = std::array::from_fn(|lane| after[lane] - before[lane]);
+        for (sum, lane) in self.plain.iter_mut().zip(lanes) {
+            *sum += lane;
+        }
+        let x = T::of(x);
+        for (sum, lane) in self.times_x.iter_mut().zip(lanes) {
+            *sum = sum.plus(T::of(lane.into()).times(x));
+        }
+        let x2 = x.times(x).times(T::of(lanes[0].into()));
+        self.volume_x2 = self.volume_x2.plus(x2);
+        self.volume_x3 = self.volume_x3.plus(x2.times(x));
+    }
+}
+
+/// The difference of the measures in coordinates local to the cube.
+#[derive(Default)]
+struct Sums<T> {
+    volume: T,
+    first2: [T; 3],
+    second3: [T; 3],
+    product4: [T; 3],
+    area: [T; 3],
+    edge: [[T; 3]; 3],
+    /// Euler times eight and vertices by kind: no coordinate, so they always fit.
+    counts: [i64; 5],
+}
+
+impl<T: Ring> Sums<T> {
+    #[inline(always)]
+    fn add(&mut self, line: &Line<T>, y: i32, z: i32) {
+        let plain = |lane: usize| T::of(line.plain[lane].into());
+        let (y, z) = (T::of(y), T::of(z));
+        let yz = y.times(z);
+        let [volume_x, area_y, area_z, ..] = line.times_x;
+        let (volume, volume_x2) = (volume_x.times(yz), line.volume_x2.times(yz));
+        let add = |sum: &mut T, term: T| *sum = sum.plus(term);
+        add(&mut self.volume, volume);
+        add(&mut self.first2[0], volume_x2);
+        add(&mut self.first2[1], volume.times(y));
+        add(&mut self.first2[2], volume.times(z));
+        add(&mut self.second3[0], line.volume_x3.times(yz));
+        add(&mut self.second3[1], volume.times(y).times(y));
+        add(&mut self.second3[2], volume.times(z).times(z));
+        add(&mut self.product4[0], volume_x2.times(y));
+        add(&mut self.product4[1], volume.times(yz));
+        add(&mut self.product4[2], volume_x2.times(z));
+        add(&mut self.area[0], plain(AREA_X).times(yz));
+        add(&mut self.area[1], area_y.times(z));
+        add(&mut self.area[2], area_z.times(y));
+        for kind in 0..3 {
+            add(&mut self.edge[0][kind], line.times_x[3 + kind]);
+            add(&mut self.edge[1][kind], plain(EDGE_Y + kind).times(y));
+            add(&mut self.edge[2][kind], plain(EDGE_Z + kind).times(z));
+        }
+        for (sum, lane) in self.counts.iter_mut().zip(&line.plain[EULER..]) {
+            *sum += i64::from(*lane);
+        }
+    }
+
+    /// The same in scene coordinates, where `corner` is the origin of the local ones. Lengths, areas and counts are
+    /// differences of one cube, so they do not change; moments do, and need the wider ring `U`.
+    fn translated<U: Ring + From<T> + Into<I256>>(&self, corner: [i32; 3]) -> Measures
+    where
+        T: Into<i128>,
+    {
+        let two = U::of(2);
+        let three = U::of(3);
+        let volume = U::from(self.volume);
+        let first2 = self.first2.map(U::from);
+        let by = corner.map(U::of);
+        let next = [1, 2, 0];
+        let mut first_moments2 = [U::default(); 3];
+        let mut second_moments3 = [I256::ZERO; 3];
+        let mut product_moments4 = [I256::ZERO; 3];
+        for axis in 0..3 {
+            let volume_by = volume.times(by[axis]);
+            // integral of x + a
+            first_moments2[axis] = first2[axis].plus(two.times(volume_by));
+            // integral of (x + a)^2
+            let linear = three.times(by[axis]).times(first2[axis]);
+            let square = three.times(by[axis]).times(volume_by);
+            second_moments3[axis] = U::from(self.second3[axis]).plus(linear).plus(square).into();
+            // integral of (x + a)(y + b)
+            let other = next[axis];
+            let linear = first2[axis]
+                .times(by[other])
+                .plus(first2[other].times(by[axis]));
+            let square = two.times(volume_by).times(by[other]);
+            product_moments4[axis] = U::from(self.product4[axis])
+                .plus(two.times(linear.plus(square)))
+                .into();
+        }
+        let [euler8, vertices @ ..] = self.counts;
+        Measures {
+            volume: self.volume.into(),
+            first_moments2: first_moments2.map(|moment| moment.into().as_i128()),
+            second_moments3,
+            product_moments4,
+            area_by_axis: self.area.map(T::into),
+            edge_length: self.edge.map(|axis| axis.map(T::into)),
+            euler8,
+            vertices,
+        }
+    }
+}

@@ -1,0 +1,203 @@
+//! What waits for a scene's writer: a bounded queue of changes, a queue of questions, and how it all ends.
+//!
+//! One mutex, held only to move pointers. A `Condvar` rather than an async channel, because the writer is a thread.
+
+use std::collections::VecDeque;
+use std::time::{Duration, Instant};
+
+use parking_lot::{Condvar, Mutex};
+use tokio::sync::oneshot;
+
+use super::writer::View;
+use super::{Applied, Operations, ServiceError, Submission, meters};
+
+/// Operations that may wait in one queue, whatever the number of changes: bounds its memory (some hundred megabytes).
+/// A single larger change still fits an empty queue.
+const QUEUE_OPERATIONS_MAX: usize = 1 << 24;
+
+/// Where the answer to a change goes.
+pub(super) type Reply = oneshot::Sender<Result<Applied, ServiceError>>;
+
+/// A change that waits, and who waits for it.
+#[derive(Debug)]
+pub(super) struct Pending {
+    /// What to do.
+    pub(super) submission: Submission,
+    /// Where the answer goes.
+    pub(super) reply: Reply,
+}
+
+/// Something to be read from the engine between two group commits. Dropped unanswered when the scene stops.
+pub(super) type Question = Box<dyn FnOnce(&View<'_>) + Send>;
+
+/// How a scene ends.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum End {
+    /// The service shuts down: what waits is still done.
+    Shutdown,
+    /// The scene is dropped: what waits is refused.
+    Dropped,
+}
+
+/// Why something was not taken in.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum Shut {
+    /// The scene does not run at present; its condition says why.
+    Closed,
+    /// It has ended.
+    Ended(End),
+    /// Too much waits.
+    Full {
+        /// Changes waiting.
+        waiting: usize,
+    },
+}
+
+/// What the writer does next.
+pub(super) struct Work {
+    /// Questions, to be answered first: they see the last durable state.
+    pub(super) questions: VecDeque<Question>,
+    /// Changes that share one commit.
+    pub(super) group: Vec<Pending>,
+}
+
+/// The queues of one scene.
+#[derive(Default)]
+pub(super) struct Inbox {
+    state: Mutex<State>,
+    wake: Condvar,
+}
+
+#[derive(Default)]
+struct State {
+    /// Whether the writer serves.
+    open: bool,
+    end: Option<End>,
+    changes: VecDeque<Pending>,
+    /// Operations in `changes`.
+    operations: usize,
+    questions: VecDeque<Question>,
+}
+
+impl Submission {
+    /// How many operations it has.
+    pub(super) fn operations(&self) -> usize {
+        match &self.operations {
+            Operations::Named(ops) => ops.len(),
+            Operations::Numbered { delete, insert } => delete.len() + insert.len(),
+        }
+    }
+}
+
+impl Inbox {
+    /// Queues a change.
+    pub(super) fn submit(&self, pending: Pending, changes_max: usize) -> Result<(), Shut> {
+        let mut state = self.state.lock();
+        state.check()?;
+        let operations = state.operations + pending.submission.operations();
+        let waiting = state.changes.len();
+        if waiting >= changes_max || (waiting > 0 && operations > QUEUE_OPERATIONS_MAX) {
+            return Err(Shut::Full { waiting });
+        }
+        state.operations = operations;
+        state.changes.push_back(pending);
+        drop(state);
+        meters::queued(1);
+        self.wake.notify_all();
+        Ok(())
+    }
+
+    /// Queues a question. While the service shuts down questions are still answered: their number is bounded by the callers who wait.
+    pub(super) fn ask(&self, question: Question) -> Result<(), Shut> {
+        let mut state = self.state.lock();
+        if state.end != Some(End::Shutdown) || !state.open {
+            state.check()?;
+        }
+        state.questions.push_back(question);
+        drop(state);
+        self.wake.notify_all();
+        Ok(())
+    }
+
+    /// Lets changes and questions in, unless the scene has ended.
+    pub(super) fn open(&self) {
+        self.state.lock().open = true;
+    }
+
+    /// Lets nothing in any more and hands out the changes that waited; the questions are dropped.
+    pub(super) fn close(&self) -> VecDeque<Pending> {
+        let mut state = self.state.lock();
+        state.open = false;
+        state.questions.clear();
+        state.operations = 0;
+        let changes = std::mem::take(&mut state.changes);
+        meters::dequeued(changes.len());
+        changes
+    }
+
+    /// Announces the end. A drop overrides a shutdown.
+    pub(super) fn end(&self, end: End) {
+        let mut state = self.state.lock();
+        if state.end != Some(End::Dropped) {
+            state.end = Some(end);
+        }
+        drop(state);
+        self.wake.notify_all();
+    }
+
+    /// The end that was announced, if any.
+    pub(super) fn ended(&self) -> Option<End> {
+        self.state.lock().end
+    }
+
+    /// Waits until there is work or, when `idle_work` is there, does not wait. None: there is no more work, the inbox is closed.
+    pub(super) fn take(&self, group_operations_max: usize, idle_work: bool) -> Option<Work> {
+        let mut state = self.state.lock();
+        loop {
+            let waits = !state.changes.is_empty() || !state.questions.is_empty();
+            match state.end {
+                Some(End::Dropped) => return None,
+                Some(End::Shutdown) if !waits => {
+                    // Under the same lock as the look at the queues: nothing can slip in and never be answered.
+                    state.open = false;
+                    return None;
+                }
+                _ if waits || idle_work => break,
+                _ => self.wake.wait(&mut state),
+            }
+        }
+        let questions = std::mem::take(&mut state.questions);
+        let mut group = Vec::new();
+        let mut operations = 0;
+        while let Some(next) = state.changes.front() {
+            let more = next.submission.operations();
+            if !group.is_empty() && operations + more > group_operations_max {
+                break;
+            }
+            operations += more;
+            state.operations -= more;
+            group.extend(state.changes.pop_front());
+        }
+        drop(state);
+        meters::dequeued(group.len());
+        Some(Work { questions, group })
+    }
+
+    /// Waits for the end, at most `timeout`.
+    pub(super) fn wait_end(&self, timeout: Duration) -> Option<End> {
+        let deadline = Instant::now() + timeout;
+        let mut state = self.state.lock();
+        while state.end.is_none() && !self.wake.wait_until(&mut state, deadline).timed_out() {}
+        state.end
+    }
+}
+
+impl State {
+    fn check(&self) -> Result<(), Shut> {
+        match (self.end, self.open) {
+            (Some(end), _) => Err(Shut::Ended(end)),
+            (None, true) => Ok(()),
+            (None, false) => Err(Shut::Closed),
+        }
+    }
+}

@@ -1,0 +1,424 @@
+//! All scenes of a data directory: which there are, how they come and go.
+//!
+//! ```text
+//!   DATA/lock          held as long as the service lives
+//!   DATA/scenes/NAME/  a scene's log: appears whole and goes whole, by a rename
+//! ```
+
+use std::collections::HashSet;
+use std::fs::{self, File, TryLockError};
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use dashmap::DashMap;
+use parking_lot::{Condvar, Mutex, RwLock};
+
+use super::inbox::End;
+use super::recover::{Gate, Halt, keep, revive};
+use super::scene::{Scene, Setup, blocking};
+use super::writer::{self, Live};
+use super::{FaultHook, Readiness, SceneName, SceneState, ServiceConfig, ServiceError, StartError};
+use crate::geometry::Edge;
+use crate::log::{Header, SceneLog, remove_leftovers, remove_scene};
+
+/// Scenes that are replayed at the same time.
+const REPLAYS_MAX: usize = 2;
+
+/// All scenes of a data directory.
+#[derive(Clone)]
+pub struct Service(Arc<Registry>);
+
+struct Registry {
+    setup: Arc<Setup>,
+    scenes: DashMap<Box<str>, Arc<Scene>>,
+    /// Names that are being created or dropped.
+    busy: Busy,
+    /// The scenes found at start, each with the size of its files in bytes: what `readiness` weighs.
+    found: Vec<(Arc<Scene>, u64)>,
+    /// Whether the service shuts down. Creating and dropping hold it for reading, so shutting down waits for them.
+    closing: RwLock<bool>,
+    /// The locked file; closing it lets another service in.
+    lock: Mutex<Option<File>>,
+}
+
+/// Names somebody works on: one at a time for each name.
+#[derive(Default)]
+struct Busy {
+    names: Mutex<HashSet<SceneName>>,
+    changed: Condvar,
+}
+
+struct BusyName<'a> {
+    busy: &'a Busy,
+    name: &'a SceneName,
+}
+
+impl std::fmt::Debug for Service {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter
+            .debug_struct("Service")
+            .field("data", &self.0.setup.config.data)
+            .field("scenes", &self.0.scenes.len())
+            .finish()
+    }
+}
+
+impl Service {
+    /// Locks the data directory and starts to replay its scenes in the background.
+    /// # Errors
+    /// The directory cannot be used, or another service uses it.
+    pub fn start(config: ServiceConfig) -> Result<Self, StartError> {
+        Self::open(config, None)
+    }
+
+    /// As [`Service::start`], on a disk that fails when the hook says so. For tests only.
+    /// # Errors
+    /// As [`Service::start`].
+    pub fn start_with_faults(config: ServiceConfig, faults: FaultHook) -> Result<Self, StartError> {
+        Self::open(config, Some(faults))
+    }
+
+    fn open(config: ServiceConfig, faults: Option<FaultHook>) -> Result<Self, StartError> {
+        fs::create_dir_all(&config.data).map_err(|error| unusable(&config.data, &error))?;
+        let lock = lock_data(&config.data)?;
+        let scenes = config.data.join("scenes");
+        let failed = |doing: &str, error: &io::Error| {
+            StartError(format!("cannot {doing} {}: {error}", scenes.display()))
+        };
+        fs::create_dir_all(&scenes).map_err(|error| failed("create", &error))?;
+        for directory in [config.data.parent(), Some(&config.data)]
+            .into_iter()
+            .flatten()
+            .filter(|path| !path.as_os_str().is_empty())
+        {
+            let synced = File::open(directory).and_then(|directory| directory.sync_all());
+            synced.map_err(|error| unusable(directory, &error))?;
+        }
+        remove_leftovers(&scenes).map_err(|error| failed("clean", &error))?;
+        let setup = Arc::new(Setup {
+            config,
+            gate: Gate::new(REPLAYS_MAX),
+            faults,
+        });
+        let mut found = Vec::new();
+        for entry in fs::read_dir(&scenes).map_err(|error| failed("read", &error))? {
+            let path = entry.map_err(|error| failed("read", &error))?.path();
+            let text = path.file_name().unwrap_or_default().to_string_lossy();
+            match SceneName::new(&text) {
+                Ok(name) if path.is_dir() => {
+                    let bytes = size_bytes(&path);
+                    found.push((Arc::new(Scene::new(name, path, setup.clone())), bytes));
+                }
+                _ => tracing::warn!("{} is no scene; left alone", path.display()),
+            }
+        }
+        let registry = Registry {
+            setup,
+            scenes: found
+                .iter()
+                .map(|(scene, _)| (scene.name().as_str().into(), scene.clone()))
+                .collect(),
+            busy: Busy::default(),
+            found,
+            closing: RwLock::new(false),
+            lock: Mutex::new(Some(lock)),
+        };
+        for (scene, _) in &registry.found {
+            spawn(scene, None).map_err(|error| {
+                StartError(format!(
+                    "cannot start a thread for scene {}: {error}",
+                    scene.name().as_str()
+                ))
+            })?;
+        }
+        Ok(Self(Arc::new(registry)))
+    }
+
+    /// Whether the replay that began at start is done.
+    pub fn readiness(&self) -> Readiness {
+        let waiting = self.0.found.iter().any(|(scene, _)| scene.is_starting());
+        if waiting {
+            let sum = |part: &dyn Fn(&Scene) -> u32| -> u128 {
+                let weighed = self.0.found.iter();
+                weighed
+                    .map(|(scene, bytes)| u128::from(part(scene)) * u128::from(bytes + 1))
+                    .sum()
+            };
+            let percent = 100 * sum(&Scene::start_permille) / sum(&|_| 1000).max(1);
+            return Readiness::Recovering {
+                percent: u8::try_from(percent).map_or(99, |percent| percent.min(99)),
+            };
+        }
+        let troubled = self.scenes().into_iter().filter_map(|scene| {
+            let cause = match scene.state() {
+                SceneState::Running => return None,
+                SceneState::Recovering { percent } => format!("is being replayed: {percent} %"),
+                SceneState::Stopped { cause, .. } | SceneState::Damaged { cause } => cause,
+            };
+            Some((scene.name().clone(), cause))
+        });
+        Readiness::Ready {
+            troubled: troubled.collect(),
+        }
+    }
+
+    /// Creates a scene, durably; true when it is new, false when it was there with the same settings.
+    ///
+    /// Once begun, it goes on even when the future is dropped.
+    /// # Errors
+    /// [`ServiceError::SceneExists`] with other settings; the scene's own trouble when it is there but does not run.
+    pub async fn create(
+        &self,
+        name: &SceneName,
+        edge: Edge,
+        settings: &str,
+    ) -> Result<(Arc<Scene>, bool), ServiceError> {
+        let (registry, name, settings) = (self.0.clone(), name.clone(), settings.to_owned());
+        blocking(move || registry.create(&name, edge, &settings)).await?
+    }
+
+    /// Drops a scene with its data.
+    ///
+    /// Once begun, it goes on even when the future is dropped.
+    /// # Errors
+    /// [`ServiceError::NoSuchScene`], also for those who come second.
+    pub async fn remove(&self, name: &SceneName) -> Result<(), ServiceError> {
+        let (registry, name) = (self.0.clone(), name.clone());
+        blocking(move || registry.remove(&name)).await?
+    }
+
+    /// A scene by name.
+    /// # Errors
+    /// [`ServiceError::NoSuchScene`]; and why it does not answer, while its settings are not even known (its log has not been opened).
+    pub fn scene(&self, name: &str) -> Result<Arc<Scene>, ServiceError> {
+        let scene = self
+            .0
+            .scenes
+            .get(name)
+            .map(|scene| scene.clone())
+            .ok_or_else(|| ServiceError::NoSuchScene(name.to_owned()))?;
+        if scene.has_header() {
+            Ok(scene)
+        } else {
+            Err(scene.refusal())
+        }
+    }
+
+    /// All scenes, by name.
+    pub fn scenes(&self) -> Vec<Arc<Scene>> {
+        let mut scenes: Vec<_> = self.0.scenes.iter().map(|scene| scene.clone()).collect();
+        scenes.sort_by(|a, b| a.name().cmp(b.name()));
+        scenes
+    }
+
+    /// Refuses new changes, finishes those that wait, closes the logs.
+    pub async fn shutdown(&self) {
+        let registry = self.0.clone();
+        // It fails only with a runtime that goes down; then the drop of the registry does the same work.
+        let _late = blocking(move || registry.shut_down()).await;
+    }
+}
+
+impl Registry {
+    fn create(
+        self: &Arc<Self>,
+        name: &SceneName,
+        edge: Edge,
+        settings: &str,
+    ) -> Result<(Arc<Scene>, bool), ServiceError> {
+        let _open = self.stay_open()?;
+        let _busy = self.busy.enter(name);
+        if let Some(scene) = self.scenes.get(name.as_str()).map(|scene| scene.clone()) {
+            if !scene.has_header() {
+                return Err(scene.refusal());
+            }
+            return if scene.edge() == edge && scene.settings() == settings {
+                Ok((scene, false))
+            } else {
+                Err(ServiceError::SceneExists {
+                    name: name.0.clone(),
+                    settings: scene.settings().to_owned(),
+                })
+            };
+        }
+        let scene = Arc::new(Scene::new(
+            name.clone(),
+            self.directory(name),
+            self.setup.clone(),
+        ));
+        let header = Header {
+            incarnation: uuid::Uuid::new_v4().as_u64_pair().1,
+            edge_steps: edge.steps().cast_unsigned(),
+            settings: settings.to_owned(),
+        };
+        let begun = SceneLog::create(&scene.directory, &header, keep(&scene))
+            .map_err(Halt::from)
+            .and_then(|log| revive(&scene, log))
+            .map_err(refusal)
+            .and_then(|live| {
+                // Before the thread runs: the answer to `create` must not be followed by a refusal.
+                live.begin(&scene);
+                spawn(&scene, Some(live)).map_err(|error| storage(&error))
+            });
+        if let Err(error) = begun {
+            // Nobody was told of the scene: it must not be there after a restart either.
+            if scene.directory.exists()
+                && let Err(error) = discard(&scene.directory)
+            {
+                tracing::error!("{} is left: {error}", scene.directory.display());
+            }
+            return Err(error);
+        }
+        tracing::info!(scene = name.as_str(), "created");
+        self.scenes.insert(name.as_str().into(), scene.clone());
+        Ok((scene, true))
+    }
+
+    fn remove(self: &Arc<Self>, name: &SceneName) -> Result<(), ServiceError> {
+        let _open = self.stay_open()?;
+        let _busy = self.busy.enter(name);
+        let Some(scene) = self.scenes.get(name.as_str()).map(|scene| scene.clone()) else {
+            return Err(ServiceError::NoSuchScene(name.0.clone()));
+        };
+        scene.announce_end(End::Dropped);
+        scene.finish_end(End::Dropped);
+        match discard(&scene.directory) {
+            Ok(()) => {
+                self.scenes.remove(name.as_str());
+                tracing::info!(scene = name.as_str(), "dropped");
+                Ok(())
+            }
+            Err(error) => {
+                // It is still there, so it goes on: replayed from its files.
+                let again = Arc::new(Scene::new(
+                    name.clone(),
+                    self.directory(name),
+                    self.setup.clone(),
+                ));
+                spawn(&again, None).map_err(|error| storage(&error))?;
+                self.scenes.insert(name.as_str().into(), again);
+                Err(storage(&error))
+            }
+        }
+    }
+
+    fn shut_down(&self) {
+        *self.closing.write() = true;
+        let scenes: Vec<_> = self.scenes.iter().map(|scene| scene.clone()).collect();
+        for scene in &scenes {
+            scene.announce_end(End::Shutdown);
+        }
+        for scene in &scenes {
+            scene.finish_end(End::Shutdown);
+        }
+        self.lock.lock().take();
+    }
+
+    /// Refuses when the service shuts down, else keeps it from doing so.
+    fn stay_open(&self) -> Result<parking_lot::RwLockReadGuard<'_, bool>, ServiceError> {
+        let closing = self.closing.read();
+        if *closing {
+            Err(ServiceError::ShuttingDown)
+        } else {
+            Ok(closing)
+        }
+    }
+
+    fn directory(&self, name: &SceneName) -> PathBuf {
+        self.setup.config.data.join("scenes").join(name.as_str())
+    }
+}
+
+impl Drop for Registry {
+    fn drop(&mut self) {
+        self.shut_down();
+    }
+}
+
+impl Busy {
+    /// Waits until nobody else works on `name`.
+    fn enter<'a>(&'a self, name: &'a SceneName) -> BusyName<'a> {
+        let mut names = self.names.lock();
+        while !names.insert(name.clone()) {
+            self.changed.wait(&mut names);
+        }
+        BusyName { busy: self, name }
+    }
+}
+
+impl Drop for BusyName<'_> {
+    fn drop(&mut self) {
+        self.busy.names.lock().remove(self.name);
+        self.busy.changed.notify_all();
+    }
+}
+
+/// Starts the thread that owns the scene.
+fn spawn(scene: &Arc<Scene>, live: Option<Live>) -> io::Result<()> {
+    let owned = scene.clone();
+    let thread = std::thread::Builder::new()
+        .name(format!("scene {}", scene.name().as_str()))
+        .spawn(move || writer::run(&owned, live))?;
+    scene.keep_thread(thread);
+    Ok(())
+}
+
+/// Opens and locks `DATA/lock`: as long as the file is open, no other service uses the directory.
+pub(super) fn lock_data(data: &Path) -> Result<File, StartError> {
+    let lock = File::options()
+        .create(true)
+        .append(true)
+        .open(data.join("lock"))
+        .map_err(|error| unusable(data, &error))?;
+    match lock.try_lock() {
+        Ok(()) => Ok(lock),
+        Err(TryLockError::WouldBlock) => Err(StartError(format!(
+            "the data directory {} is in use by another union3d; stop that one, or name another directory with --data",
+            data.display()
+        ))),
+        Err(TryLockError::Error(error)) => Err(unusable(data, &error)),
+    }
+}
+
+fn unusable(data: &Path, error: &io::Error) -> StartError {
+    StartError(format!(
+        "cannot use the data directory {}: {error}; name another with --data",
+        data.display()
+    ))
+}
+
+/// Bytes of the files directly in a directory, as far as they can be seen.
+fn size_bytes(directory: &Path) -> u64 {
+    let Ok(entries) = fs::read_dir(directory) else {
+        return 0;
+    };
+    let sizes = entries.filter_map(|entry| entry.ok()?.metadata().ok());
+    sizes.map(|file| file.len()).sum()
+}
+
+/// Takes a scene's files away: durably when it returns.
+fn discard(directory: &Path) -> io::Result<()> {
+    match remove_scene(directory) {
+        // It is gone; only its space was not given back, which the next start does.
+        Err(error) if !directory.exists() => {
+            tracing::warn!("some of {} is left: {error}", directory.display());
+            Ok(())
+        }
+        result => result,
+    }
+}
+
+fn storage(error: &io::Error) -> ServiceError {
+    ServiceError::Storage {
+        cause: error.to_string(),
+        full: error.kind() == io::ErrorKind::StorageFull,
+    }
+}
+
+fn refusal(halt: Halt) -> ServiceError {
+    match halt {
+        Halt::Log(error) => error.into(),
+        Halt::Ended => ServiceError::ShuttingDown,
+    }
+}

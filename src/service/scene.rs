@@ -1,0 +1,500 @@
+//! A scene as its clients see it: submit, ask, read, subscribe.
+//!
+//! ```text
+//!   change ──> inbox ──> the writer's thread ──> log ──> feed ──> published, subscribe, wait_for
+//!   cube, page, contains ──> inbox (between two commits)   history, at ──> a connection of their own
+//! ```
+
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::{Arc, OnceLock};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use arc_swap::ArcSwap;
+use parking_lot::Mutex;
+use tokio::sync::{oneshot, watch};
+
+use super::inbox::{End, Inbox, Pending, Shut};
+use super::recover::Gate;
+use super::writer::View;
+use super::{
+    Applied, Audit, CHANGE_OPERATIONS_MAX, FaultHook, HistoryRow, Published, SceneName, SceneState,
+    Seq, ServiceConfig, ServiceError, Submission, meters,
+};
+use crate::engine::{Cursor, Side, recount};
+use crate::geometry::{CubeId, Edge, Place};
+use crate::log::{Header, HistoryReader, LogError};
+
+/// What all scenes of a service share.
+pub(super) struct Setup {
+    pub(super) config: ServiceConfig,
+    pub(super) gate: Gate,
+    pub(super) faults: Option<FaultHook>,
+}
+
+/// Where readers find the durable totals.
+pub(super) struct Feed {
+    newest: ArcSwap<Published>,
+    updates: watch::Sender<Published>,
+    history: Mutex<HistoryReader>,
+}
+
+/// How a scene is, with what its readers need.
+pub(super) enum Condition {
+    /// Its log is being replayed.
+    Recovering,
+    /// It answers.
+    Running(Arc<Feed>),
+    /// A write failed.
+    Stopped {
+        /// Why.
+        cause: String,
+        /// Whether the disk is full.
+        full: bool,
+    },
+    /// Its files are damaged.
+    Damaged {
+        /// What, where, and what to do.
+        cause: String,
+    },
+    /// It was dropped, or the service has shut down.
+    Ended(End),
+}
+
+/// One scene.
+pub struct Scene {
+    name: SceneName,
+    pub(super) directory: PathBuf,
+    pub(super) setup: Arc<Setup>,
+    /// Known once the log has been opened.
+    header: OnceLock<Header>,
+    condition: ArcSwap<Condition>,
+    /// How far replay has come.
+    permille: AtomicU32,
+    /// Whether the first replay is over, whatever came of it.
+    started: AtomicBool,
+    notices: Mutex<Vec<String>>,
+    pub(super) inbox: Inbox,
+    thread: Mutex<Option<JoinHandle<()>>>,
+}
+
+impl std::fmt::Debug for Scene {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter
+            .debug_struct("Scene")
+            .field("name", &self.name)
+            .field("state", &self.state())
+            .finish_non_exhaustive()
+    }
+}
+
+impl Scene {
+    /// Its name.
+    pub fn name(&self) -> &SceneName {
+        &self.name
+    }
+
+    /// Its settings, as given to `create`. Empty while its log has not been opened ([`super::Service::scene`] refuses it then).
+    pub fn settings(&self) -> &str {
+        self.header.get().map_or("", |header| &header.settings)
+    }
+
+    /// Edge of its cubes. One step while its log has not been opened ([`super::Service::scene`] refuses it then).
+    pub fn edge(&self) -> Edge {
+        let steps = self.header.get().map_or(1, |header| header.edge_steps);
+        Edge::new(i64::from(steps)).expect("an edge is checked before its header is kept")
+    }
+
+    /// Random name of this life of the scene. 0 while its log has not been opened.
+    pub fn incarnation(&self) -> u64 {
+        self.header.get().map_or(0, |header| header.incarnation)
+    }
+
+    /// What was found and mended when its log was opened, in words: a cut-off end of a write-ahead file.
+    pub fn notices(&self) -> Vec<String> {
+        self.notices.lock().clone()
+    }
+
+    /// How it is.
+    pub fn state(&self) -> SceneState {
+        match &**self.condition.load() {
+            Condition::Recovering => SceneState::Recovering {
+                percent: self.percent(),
+            },
+            Condition::Running(_) => SceneState::Running,
+            Condition::Stopped { cause, full } => SceneState::Stopped {
+                cause: cause.clone(),
+                full: *full,
+            },
+            Condition::Damaged { cause } => SceneState::Damaged {
+                cause: cause.clone(),
+            },
+            Condition::Ended(end) => SceneState::Stopped {
+                cause: match end {
+                    End::Shutdown => "the service is shutting down".to_owned(),
+                    End::Dropped => "the scene was dropped".to_owned(),
+                },
+                full: false,
+            },
+        }
+    }
+
+    /// Newest durable totals. Never waits for the writer.
+    pub fn published(&self) -> Result<Published, ServiceError> {
+        Ok(**self.feed()?.newest.load())
+    }
+
+    /// Submits a change and waits until it is durable. Dropping the future does not undo the change.
+    /// # Errors
+    /// Nothing has changed then, but for [`ServiceError::Stopped`]: when the disk fails in the middle of a write, the
+    /// change may have been kept, whole, and shows once the scene is back; its cause says so. A retry with the same
+    /// ids, or with the same key, is safe.
+    pub async fn change(&self, submission: Submission) -> Result<Applied, ServiceError> {
+        let operations = submission.operations();
+        if operations > CHANGE_OPERATIONS_MAX {
+            return Err(ServiceError::Storage {
+                cause: format!(
+                    "a change of {operations} operations is more than the {CHANGE_OPERATIONS_MAX} that one record holds"
+                ),
+                full: false,
+            });
+        }
+        let (reply, answer) = oneshot::channel();
+        self.inbox
+            .submit(
+                Pending { submission, reply },
+                self.setup.config.queue_changes_max,
+            )
+            .map_err(|shut| self.refusal_of(shut))?;
+        answer.await.unwrap_or_else(|_| Err(self.refusal()))
+    }
+
+    /// Newest totals now and whenever they change; a slow reader skips to the newest. None once the scene is dropped or stopped.
+    pub fn subscribe(&self) -> Result<watch::Receiver<Published>, ServiceError> {
+        Ok(self.feed()?.updates.subscribe())
+    }
+
+    /// The first published state at or after `seq`; None after `timeout`. (States between two commits are not seen.)
+    pub async fn wait_for(
+        &self,
+        seq: Seq,
+        timeout: Duration,
+    ) -> Result<Option<Published>, ServiceError> {
+        let mut updates = self.subscribe()?;
+        let reached = updates.wait_for(|published| published.seq >= seq);
+        match tokio::time::timeout(timeout, reached).await {
+            Ok(Ok(published)) => Ok(Some(*published)),
+            Ok(Err(_)) => Err(self.refusal()),
+            Err(_) => Ok(None),
+        }
+    }
+
+    /// A past state.
+    /// # Errors
+    /// [`ServiceError::SeqNotReached`] beyond the newest, [`ServiceError::SeqNotKept`] before the oldest.
+    pub async fn at(&self, seq: Seq) -> Result<Published, ServiceError> {
+        let newest = self.published()?;
+        if seq > newest.seq {
+            return Err(ServiceError::SeqNotReached {
+                seq,
+                newest: newest.seq,
+            });
+        }
+        if seq == newest.seq {
+            return Ok(newest);
+        }
+        self.read_history(move |history| match history.at(seq)? {
+            Some(row) => Ok(Ok(Published {
+                seq,
+                at_ms: row.at_ms,
+                totals: row.totals,
+            })),
+            None => Ok(Err(ServiceError::SeqNotKept {
+                seq,
+                oldest: history.range()?.0,
+            })),
+        })
+        .await?
+    }
+
+    /// Rows of the history from `from` to `to`, at most `limit`, oldest first. Rows no longer kept are left out.
+    pub async fn history(
+        &self,
+        from: Seq,
+        to: Seq,
+        limit: usize,
+    ) -> Result<Vec<HistoryRow>, ServiceError> {
+        // A row that is committed but not published yet must not show: its change has not been answered.
+        let to = to.min(self.published()?.seq);
+        if from > to {
+            return Ok(Vec::new());
+        }
+        self.read_history(move |history| history.rows(from, to, limit))
+            .await
+    }
+
+    /// Where a cube is.
+    pub async fn cube(&self, id: CubeId) -> Result<Option<Place>, ServiceError> {
+        self.ask(move |view| view.engine.get(id)).await
+    }
+
+    /// A page of cubes, as [`crate::engine::Engine::page`].
+    pub async fn page(
+        &self,
+        after: Option<Cursor>,
+        limit: usize,
+    ) -> Result<(Vec<(CubeId, Place)>, Option<Cursor>), ServiceError> {
+        self.ask(move |view| view.engine.page(after, limit)).await
+    }
+
+    /// All cubes as of one seq. O(cubes), between two commits.
+    pub async fn cubes(&self) -> Result<(Seq, Vec<(CubeId, Place)>), ServiceError> {
+        self.ask(|view| (view.published.seq, view.engine.cubes().collect()))
+            .await
+    }
+
+    /// Where a point lies.
+    pub async fn contains(
+        &self,
+        point: [i32; 3],
+    ) -> Result<(Seq, Side, Option<(CubeId, Place)>), ServiceError> {
+        self.ask(move |view| {
+            let (side, cube) = view.engine.contains(point);
+            (view.published.seq, side, cube)
+        })
+        .await
+    }
+
+    /// Recounts everything from the cubes alone, on another thread, and compares.
+    pub async fn audit(&self) -> Result<Audit, ServiceError> {
+        let (seq, kept, places) = self
+            .ask(|view| {
+                let places: Vec<Place> = view.engine.cubes().map(|(_, place)| place).collect();
+                (view.published.seq, view.published.totals, places)
+            })
+            .await?;
+        let edge = self.edge();
+        let recounted = blocking(move || recount(edge, places.into_iter())).await?;
+        if recounted != kept {
+            tracing::error!(
+                scene = self.name.as_str(),
+                seq = seq.0,
+                "audit: totals differ from a recount"
+            );
+        }
+        Ok(Audit {
+            seq,
+            kept,
+            recounted,
+        })
+    }
+
+    /// Puts a question to the engine, between two commits.
+    async fn ask<T: Send + 'static>(
+        &self,
+        question: impl FnOnce(&View<'_>) -> T + Send + 'static,
+    ) -> Result<T, ServiceError> {
+        let (reply, answer) = oneshot::channel();
+        self.inbox
+            .ask(Box::new(move |view| {
+                // Copying a million cubes for a client that has gone would only hold up the others.
+                if !reply.is_closed() {
+                    let _gone = reply.send(question(view));
+                }
+            }))
+            .map_err(|shut| self.refusal_of(shut))?;
+        answer.await.map_err(|_| self.refusal())
+    }
+
+    /// Reads the history on a thread that may block.
+    async fn read_history<T: Send + 'static>(
+        &self,
+        read: impl FnOnce(&HistoryReader) -> Result<T, LogError> + Send + 'static,
+    ) -> Result<T, ServiceError> {
+        let feed = self.feed()?;
+        blocking(move || read(&feed.history.lock()))
+            .await?
+            .map_err(ServiceError::from)
+    }
+
+    fn feed(&self) -> Result<Arc<Feed>, ServiceError> {
+        match &**self.condition.load() {
+            Condition::Running(feed) => Ok(feed.clone()),
+            condition => Err(self.refusal_in(condition)),
+        }
+    }
+
+    /// Why it does not answer now.
+    pub(super) fn refusal(&self) -> ServiceError {
+        self.refusal_in(&self.condition.load())
+    }
+
+    fn refusal_in(&self, condition: &Condition) -> ServiceError {
+        match condition {
+            Condition::Recovering => ServiceError::Recovering {
+                percent: self.percent(),
+            },
+            // It stopped and is back already; the question was lost in between.
+            Condition::Running(_) => ServiceError::Stopped {
+                cause: "the scene was interrupted and is back; ask again".to_owned(),
+                full: false,
+            },
+            Condition::Stopped { cause, full } => ServiceError::Stopped {
+                cause: cause.clone(),
+                full: *full,
+            },
+            Condition::Damaged { cause } => ServiceError::Damaged {
+                cause: cause.clone(),
+            },
+            Condition::Ended(end) => self.refusal_of(Shut::Ended(*end)),
+        }
+    }
+
+    fn refusal_of(&self, shut: Shut) -> ServiceError {
+        match shut {
+            Shut::Closed => self.refusal(),
+            Shut::Ended(End::Shutdown) => ServiceError::ShuttingDown,
+            Shut::Ended(End::Dropped) => ServiceError::NoSuchScene(self.name.0.clone()),
+            Shut::Full { waiting } => {
+                meters::queue_full();
+                ServiceError::QueueFull { waiting }
+            }
+        }
+    }
+
+    fn percent(&self) -> u8 {
+        u8::try_from(self.permille() / 10).map_or(100, |percent| percent.min(100))
+    }
+}
+
+/// What the registry and the writer do with a scene.
+impl Scene {
+    pub(super) fn new(name: SceneName, directory: PathBuf, setup: Arc<Setup>) -> Self {
+        Self {
+            name,
+            directory,
+            setup,
+            header: OnceLock::new(),
+            condition: ArcSwap::from_pointee(Condition::Recovering),
+            permille: AtomicU32::new(0),
+            started: AtomicBool::new(false),
+            notices: Mutex::default(),
+            inbox: Inbox::default(),
+            thread: Mutex::default(),
+        }
+    }
+
+    /// Keeps the header; false when another one was kept before.
+    pub(super) fn keep_header(&self, header: &Header) -> bool {
+        self.header.get_or_init(|| header.clone()) == header
+    }
+
+    pub(super) fn has_header(&self) -> bool {
+        self.header.get().is_some()
+    }
+
+    pub(super) fn keep_notices(&self, notices: Vec<String>) {
+        *self.notices.lock() = notices;
+    }
+
+    pub(super) fn keep_thread(&self, thread: JoinHandle<()>) {
+        *self.thread.lock() = Some(thread);
+    }
+
+    pub(super) fn set_condition(&self, condition: Condition) {
+        self.condition.store(Arc::new(condition));
+    }
+
+    pub(super) fn set_started(&self) {
+        self.started.store(true, Ordering::Release);
+    }
+
+    pub(super) fn is_starting(&self) -> bool {
+        !self.started.load(Ordering::Acquire)
+    }
+
+    /// How far the first replay has come, in parts per thousand.
+    pub(super) fn start_permille(&self) -> u32 {
+        if self.is_starting() {
+            self.permille()
+        } else {
+            1000
+        }
+    }
+
+    /// How far replay has come, in parts per thousand.
+    fn permille(&self) -> u32 {
+        self.permille.load(Ordering::Relaxed).min(1000)
+    }
+
+    pub(super) fn set_permille(&self, permille: u32) {
+        self.permille.store(permille, Ordering::Relaxed);
+    }
+
+    /// Announces the end: the writer finishes what it must and leaves.
+    pub(super) fn announce_end(&self, end: End) {
+        self.inbox.end(end);
+        self.setup.gate.nudge();
+    }
+
+    /// Waits for the writer's thread, refuses what is still waiting, and closes the feed.
+    pub(super) fn finish_end(&self, end: End) {
+        let thread = self.thread.lock().take();
+        if let Some(thread) = thread
+            && thread.join().is_err()
+        {
+            tracing::error!(scene = self.name.as_str(), "the writer's thread panicked");
+        }
+        self.set_condition(Condition::Ended(end));
+        self.refuse_waiting(&self.refusal());
+    }
+
+    /// Closes the inbox and answers what waits in it.
+    pub(super) fn refuse_waiting(&self, refusal: &ServiceError) {
+        for pending in self.inbox.close() {
+            let _gone = pending.reply.send(Err(refusal.clone()));
+        }
+    }
+}
+
+impl Feed {
+    pub(super) fn new(published: &Published, history: HistoryReader) -> Self {
+        Self {
+            newest: ArcSwap::from_pointee(*published),
+            updates: watch::Sender::new(*published),
+            history: Mutex::new(history),
+        }
+    }
+
+    /// Shows new totals: to those who look first, then to those who wait.
+    pub(super) fn publish(&self, published: &Published) {
+        self.newest.store(Arc::new(*published));
+        self.updates.send_replace(*published);
+    }
+}
+
+impl From<LogError> for ServiceError {
+    fn from(error: LogError) -> Self {
+        let cause = error.to_string();
+        match error {
+            LogError::Full { .. } => Self::Storage { cause, full: true },
+            LogError::Failed { .. } => Self::Storage { cause, full: false },
+            LogError::Damaged { .. } | LogError::Foreign { .. } => Self::Damaged { cause },
+        }
+    }
+}
+
+/// Runs `work` on a thread that may block; its panic is its caller's.
+pub(super) async fn blocking<T: Send + 'static>(
+    work: impl FnOnce() -> T + Send + 'static,
+) -> Result<T, ServiceError> {
+    match tokio::task::spawn_blocking(work).await {
+        Ok(value) => Ok(value),
+        Err(error) => match error.try_into_panic() {
+            Ok(panic) => std::panic::resume_unwind(panic),
+            // Blocking work is cancelled only by a runtime that goes down.
+            Err(_) => Err(ServiceError::ShuttingDown),
+        },
+    }
+}

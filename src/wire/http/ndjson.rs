@@ -1,0 +1,263 @@
+//! A stream of operations, a line each, in constant memory.
+//!
+//! ```text
+//!   body ── lines ── operations ── waiting (bounded) ── one chunk in flight ── service
+//! ```
+//! Only one chunk is in flight: were the next one queued behind it, a conflict in the first would not keep the second from being
+//! applied, and the answer could not say that exactly the lines before the bad one are committed. While a chunk is being
+//! committed the next one is read, and grows with the time that takes; so a slow disk makes larger chunks, not a slower stream.
+
+use std::future::Future;
+use std::pin::Pin;
+use std::time::Duration;
+
+use axum::body::{Body, Bytes};
+use futures_util::StreamExt;
+use tokio::time::Instant;
+
+use super::changes::conflict;
+use super::request::{broken, slow_request};
+use crate::engine::{Counts, Op, Rejected};
+use crate::service::{Applied, Counting, Operations, Published, Scene, ServiceError, Submission};
+use crate::wire::convert::Settings;
+use crate::wire::decode;
+use crate::wire::problem::{Code, Problem};
+
+/// Operations that are worth a chunk.
+const CHUNK_OPERATIONS: usize = 4_096;
+
+/// Operations that may wait while a chunk is in flight; then the client is made to wait.
+const WAITING_OPERATIONS_MAX: usize = 4 * CHUNK_OPERATIONS;
+
+/// How long operations wait for more of them while nothing is in flight.
+const LINGER: Duration = Duration::from_millis(5);
+
+/// Longest line, in bytes.
+const LINE_BYTES_MAX: usize = 64 << 10;
+
+/// Pauses between two tries while the scene's queue is full.
+const RETRY_PAUSE_MIN: Duration = Duration::from_millis(2);
+const RETRY_PAUSE_MAX: Duration = Duration::from_millis(200);
+
+/// Applies a stream to its end. Answers the state after the last chunk, and the counts of all.
+/// # Errors
+/// What stopped it, with `line`, `committed_lines` and `seq`: all lines before are committed, none after.
+pub(super) async fn apply(
+    scene: &Scene,
+    settings: &Settings,
+    body: Body,
+    idle_max: Duration,
+) -> Result<(Published, Counts), Problem> {
+    let mut body = body.into_data_stream();
+    let mut lines = Lines::default();
+    let mut waiting = Chunk::default();
+    let mut in_flight: Option<Pin<Box<dyn Future<Output = Committed> + Send + '_>>> = None;
+    let mut sums = Sums::default();
+    // Why nothing more is read: the end, or what is wrong.
+    let mut end: Option<Result<(), Problem>> = None;
+    let mut quiet_since = Instant::now();
+    loop {
+        let lingered = waiting.since.is_some_and(|since| since.elapsed() >= LINGER);
+        let ready = waiting.operations.len() >= CHUNK_OPERATIONS || lingered || end.is_some();
+        if in_flight.is_none() && ready && !waiting.operations.is_empty() {
+            let chunk = std::mem::take(&mut waiting);
+            in_flight = Some(Box::pin(commit(scene, settings, chunk)));
+        }
+        if in_flight.is_none() && waiting.operations.is_empty() && end.is_some() {
+            break;
+        }
+        let reading = end.is_none() && waiting.operations.len() < WAITING_OPERATIONS_MAX;
+        let deadline = waiting
+            .since
+            .map_or(quiet_since + idle_max, |since| since + LINGER);
+        tokio::select! {
+            committed = async { in_flight.as_mut().expect("checked").await }, if in_flight.is_some() => {
+                in_flight = None;
+                sums.add(&committed);
+                if let Some((line, problem)) = committed.failed {
+                    return Err(sums.stopped(scene, line, problem));
+                }
+            }
+            piece = body.next(), if reading => match piece {
+                Some(Ok(piece)) => {
+                    if let Err(problem) = lines.read(&piece, settings, &mut waiting) {
+                        end = Some(Err(problem));
+                    }
+                }
+                Some(Err(error)) => end = Some(Err(broken(&error))),
+                None => end = Some(lines.finish(settings, &mut waiting)),
+            },
+            // Time counts against the client only while the server waits for nothing else.
+            () = tokio::time::sleep_until(deadline), if reading && in_flight.is_none() => {
+                if waiting.operations.is_empty() {
+                    end = Some(Err(slow_request(idle_max)));
+                }
+                // Otherwise the operations have lingered, and the loop's head sends them on.
+            }
+        }
+        quiet_since = Instant::now();
+    }
+    if let Some(Err(problem)) = end {
+        return Err(sums.stopped(scene, lines.number + 1, problem));
+    }
+    let published = sums.published.map_or_else(|| scene.published(), Ok)?;
+    Ok((published, sums.counts))
+}
+
+/// Operations with the numbers of their lines.
+#[derive(Default)]
+struct Chunk {
+    operations: Vec<Op>,
+    lines: Vec<u64>,
+    /// When the first came.
+    since: Option<Instant>,
+}
+
+/// What has come of a chunk.
+struct Committed {
+    counts: Counts,
+    published: Option<Published>,
+    /// The line that could not be applied: those before it are, the rest is not.
+    failed: Option<(u64, Problem)>,
+}
+
+/// Commits a chunk, or all of it before the operation that is refused. Waits while the queue is full.
+async fn commit(scene: &Scene, settings: &Settings, chunk: Chunk) -> Committed {
+    let Chunk {
+        operations, lines, ..
+    } = chunk;
+    let mut sums = Sums::default();
+    let (mut from, mut to) = (0, operations.len());
+    // What is wrong with the operation at `to`, once that is known.
+    let mut refused = None;
+    let mut pause = RETRY_PAUSE_MIN;
+    while from < to {
+        let submission = Submission {
+            operations: Operations::Named(operations[from..to].to_vec()),
+            counting: Counting::InOrder,
+            key: None,
+        };
+        match scene.change(submission).await {
+            Ok(applied) => {
+                sums.applied(&applied);
+                from = to;
+                if refused.is_none() {
+                    to = operations.len();
+                }
+            }
+            Err(ServiceError::QueueFull { .. }) => {
+                tokio::time::sleep(pause).await;
+                pause = (2 * pause).min(RETRY_PAUSE_MAX);
+            }
+            Err(ServiceError::Rejected(rejected @ Rejected::IdConflict { index, .. })) => {
+                to = from + index;
+                refused = Some(conflict(rejected, settings, |_| "/insert".to_owned()));
+            }
+            // It is not said which cube was one too many: halve until one operation is left.
+            Err(ServiceError::Rejected(Rejected::TooManyCubes { .. })) if to - from > 1 => {
+                to = from + (to - from) / 2;
+                refused = None;
+            }
+            Err(error) => {
+                to = from;
+                refused = Some(error.into());
+            }
+        }
+    }
+    Committed {
+        counts: sums.counts,
+        published: sums.published,
+        failed: refused.map(|problem| (lines[to], problem)),
+    }
+}
+
+/// What has been committed of the stream so far.
+#[derive(Default)]
+struct Sums {
+    counts: Counts,
+    published: Option<Published>,
+}
+
+impl Sums {
+    fn applied(&mut self, applied: &Applied) {
+        self.add(&Committed {
+            counts: applied.counts,
+            published: Some(applied.published),
+            failed: None,
+        });
+    }
+
+    fn add(&mut self, committed: &Committed) {
+        self.counts.inserted += committed.counts.inserted;
+        self.counts.deleted += committed.counts.deleted;
+        self.counts.unchanged += committed.counts.unchanged;
+        self.published = committed.published.or(self.published);
+    }
+
+    /// The problem that stopped the stream at `line`, with how far it came.
+    fn stopped(&self, scene: &Scene, line: u64, problem: Problem) -> Problem {
+        let newest = || scene.published().ok();
+        let seq = self.published.or_else(newest);
+        problem
+            .within(&format!("line {line}"))
+            .with("line", line)
+            .with("committed_lines", line - 1)
+            .with("seq", seq.map(|published| published.seq.0))
+    }
+}
+
+/// Cuts a body into lines.
+#[derive(Default)]
+struct Lines {
+    /// A line that has begun.
+    begun: Vec<u8>,
+    /// Lines that have ended.
+    number: u64,
+}
+
+impl Lines {
+    /// Reads the lines that end in `piece`, and keeps what is left of it. At an error `number` counts the lines before the bad one.
+    fn read(&mut self, piece: &Bytes, settings: &Settings, to: &mut Chunk) -> Result<(), Problem> {
+        let mut rest = &piece[..];
+        while let Some(end) = rest.iter().position(|byte| *byte == b'\n') {
+            let (line, after) = (&rest[..end], &rest[end + 1..]);
+            if self.begun.is_empty() {
+                self.line(line, settings, to)?;
+            } else {
+                let mut begun = std::mem::take(&mut self.begun);
+                begun.extend_from_slice(line);
+                self.line(&begun, settings, to)?;
+            }
+            rest = after;
+        }
+        self.begun.extend_from_slice(rest);
+        if self.begun.len() > LINE_BYTES_MAX {
+            return Err(long_line());
+        }
+        Ok(())
+    }
+
+    /// Reads the last line, which need not end.
+    fn finish(&mut self, settings: &Settings, to: &mut Chunk) -> Result<(), Problem> {
+        let begun = std::mem::take(&mut self.begun);
+        self.line(&begun, settings, to)
+    }
+
+    fn line(&mut self, text: &[u8], settings: &Settings, to: &mut Chunk) -> Result<(), Problem> {
+        if text.len() > LINE_BYTES_MAX {
+            return Err(long_line());
+        }
+        if !text.trim_ascii().is_empty() {
+            to.operations.push(decode::line(text, settings)?);
+            to.lines.push(self.number + 1);
+            to.since.get_or_insert_with(Instant::now);
+        }
+        self.number += 1;
+        Ok(())
+    }
+}
+
+fn long_line() -> Problem {
+    let detail = format!("the line is longer than {LINE_BYTES_MAX} bytes");
+    Problem::new(Code::TooLarge, detail)
+}

@@ -1,0 +1,256 @@
+//! What a request says outside its body, and the reading of bodies: everything checked, every failure a problem.
+
+use std::borrow::Cow;
+use std::future::Future;
+use std::time::Duration;
+
+use axum::body::Body;
+use axum::extract::rejection::PathRejection;
+use axum::extract::{FromRequestParts, Query};
+use axum::http::request::Parts;
+use axum::http::{HeaderMap, header};
+use futures_util::StreamExt;
+
+use super::Limits;
+use crate::wire::problem::{Code, Fault, Faults, Problem};
+
+/// Parameters of the path.
+#[derive(FromRequestParts)]
+#[from_request(via(axum::extract::Path), rejection(Problem))]
+pub(super) struct Path<T>(pub(super) T);
+
+impl From<PathRejection> for Problem {
+    fn from(rejection: PathRejection) -> Self {
+        Problem::new(Code::BadRequest, rejection.body_text())
+    }
+}
+
+/// Parameters of the query, as they stand there.
+pub(super) struct Parameters(Vec<(String, String)>);
+
+impl<S: Sync> FromRequestParts<S> for Parameters {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, Problem> {
+        let Query(pairs) = Query::try_from_uri(&parts.uri)
+            .map_err(|rejection| Problem::new(Code::BadRequest, rejection.body_text()))?;
+        Ok(Self(pairs))
+    }
+}
+
+impl Parameters {
+    /// Refuses all parameters but these: a misspelt one would be silently without effect.
+    pub(super) fn only(self, known: &[&'static str]) -> Result<Known, Problem> {
+        let mut faults = Faults::default();
+        for (index, (name, value)) in self.0.iter().enumerate() {
+            if !known.contains(&name.as_str()) {
+                let detail = match known {
+                    [] => "is not known here; there are no parameters".to_owned(),
+                    known => format!("is not known here; known are {}", known.join(", ")),
+                };
+                faults.push(Fault::in_parameter(name.clone(), detail, value));
+            } else if self.0[..index].iter().any(|(earlier, _)| earlier == name) {
+                faults.push(Fault::in_parameter(name.clone(), "stands twice", value));
+            }
+        }
+        if faults.is_empty() {
+            Ok(Known(self.0))
+        } else {
+            Err(faults.into_problem())
+        }
+    }
+}
+
+/// Parameters of the query, known and each at most once.
+pub(super) struct Known(Vec<(String, String)>);
+
+impl Known {
+    pub(super) fn text(&self, name: &str) -> Option<&str> {
+        let found = self.0.iter().find(|(known, _)| known == name);
+        found.map(|(_, value)| value.as_str())
+    }
+
+    /// A whole number, if it is given.
+    pub(super) fn number(&self, name: &'static str) -> Result<Option<u64>, Problem> {
+        self.text(name).map(|text| whole(name, text)).transpose()
+    }
+
+    /// A limit from 1 to `max`.
+    pub(super) fn limit(&self, default: usize, max: usize) -> Result<usize, Problem> {
+        let Some(text) = self.text("limit") else {
+            return Ok(default);
+        };
+        match text.parse() {
+            Ok(limit) if (1..=max).contains(&limit) => Ok(limit),
+            _ => Err(Fault::in_parameter(
+                "limit",
+                format!("is not a whole number from 1 to {max}"),
+                text,
+            )
+            .into()),
+        }
+    }
+
+    /// Whether `return=minimal` is asked for.
+    pub(super) fn minimal(&self) -> Result<bool, Problem> {
+        match self.text("return") {
+            None | Some("representation") => Ok(false),
+            Some("minimal") => Ok(true),
+            Some(other) => Err(Fault::in_parameter(
+                "return",
+                "is neither \"minimal\" nor \"representation\"",
+                other,
+            )
+            .into()),
+        }
+    }
+}
+
+/// A number in a parameter.
+pub(super) fn whole(name: &'static str, text: &str) -> Result<u64, Problem> {
+    // `parse` alone would take a plus sign.
+    let digits = text.bytes().all(|byte| byte.is_ascii_digit());
+    match text.parse() {
+        Ok(number) if digits => Ok(number),
+        _ => Err(Fault::in_parameter(
+            name,
+            "is not a whole number from 0 to 18446744073709551615",
+            text,
+        )
+        .into()),
+    }
+}
+
+/// Types of bodies.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum BodyType {
+    Json,
+    Ndjson,
+    Protobuf,
+}
+
+impl BodyType {
+    pub(super) const fn name(self) -> &'static str {
+        match self {
+            Self::Json => "application/json",
+            Self::Ndjson => "application/x-ndjson",
+            Self::Protobuf => "application/x-protobuf",
+        }
+    }
+}
+
+/// The type of a request's body, one of `taken`.
+pub(super) fn body_type(headers: &HeaderMap, taken: &[BodyType]) -> Result<BodyType, Problem> {
+    let refuse = |what: Cow<'static, str>| {
+        let names: Vec<_> = taken.iter().map(|one| one.name()).collect();
+        let detail = format!("{what}; taken here: {}", names.join(", "));
+        Problem::new(Code::UnsupportedMediaType, detail)
+    };
+    if let Some(coding) = headers.get(header::CONTENT_ENCODING)
+        && !coding.as_bytes().eq_ignore_ascii_case(b"identity")
+    {
+        return Err(refuse(
+            format!("Content-Encoding {coding:?} is not taken").into(),
+        ));
+    }
+    let Some(given) = headers.get(header::CONTENT_TYPE) else {
+        return Err(refuse("there is no Content-Type".into()));
+    };
+    let text = given.to_str().unwrap_or_default();
+    let essence = text.split(';').next().unwrap_or_default().trim();
+    let found = taken
+        .iter()
+        .find(|one| essence.eq_ignore_ascii_case(one.name()));
+    found
+        .copied()
+        .ok_or_else(|| refuse(format!("Content-Type is {given:?}").into()))
+}
+
+/// Whether the client would rather have lines of JSON.
+pub(super) fn accepts_ndjson(headers: &HeaderMap) -> bool {
+    headers
+        .get_all(header::ACCEPT)
+        .iter()
+        .filter_map(|value| value.to_str().ok())
+        .flat_map(|value| value.split(','))
+        .filter_map(|range| range.split(';').next())
+        .any(|essence| essence.trim().eq_ignore_ascii_case(BodyType::Ndjson.name()))
+}
+
+/// The header `Idempotency-Key`, if there is one.
+pub(super) fn idempotency_key(headers: &HeaderMap) -> Result<Option<Box<str>>, Problem> {
+    const NAME: &str = "Idempotency-Key";
+    let mut values = headers.get_all(NAME).iter();
+    let Some(value) = values.next() else {
+        return Ok(None);
+    };
+    let text = value.to_str().unwrap_or_default();
+    let visible = text.bytes().all(|byte| byte.is_ascii_graphic());
+    if values.next().is_none() && visible && (1..=64).contains(&text.len()) {
+        Ok(Some(text.into()))
+    } else {
+        let sent = String::from_utf8_lossy(value.as_bytes());
+        let detail = "is not one key of 1 to 64 visible ASCII characters";
+        Err(Fault::in_parameter(NAME, detail, &sent).into())
+    }
+}
+
+/// Reads a body whole.
+pub(super) async fn read(
+    headers: &HeaderMap,
+    body: Body,
+    limits: &Limits,
+) -> Result<Vec<u8>, Problem> {
+    // What a client announces is believed only so far: memory follows what arrives.
+    const RESERVED_BYTES_MAX: usize = 1 << 20;
+    let too_large = || {
+        let detail = format!("the body is larger than {} bytes", limits.body_bytes_max);
+        Problem::new(Code::TooLarge, detail)
+    };
+    let announced = headers
+        .get(header::CONTENT_LENGTH)
+        .and_then(|length| length.to_str().ok()?.parse().ok())
+        .unwrap_or(0);
+    if announced > limits.body_bytes_max {
+        return Err(too_large());
+    }
+    let reading = async {
+        let mut read = Vec::with_capacity(announced.min(RESERVED_BYTES_MAX));
+        let mut body = body.into_data_stream();
+        while let Some(piece) = body.next().await {
+            let piece = piece.map_err(|error| broken(&error))?;
+            if piece.len() > limits.body_bytes_max - read.len() {
+                return Err(too_large());
+            }
+            read.extend_from_slice(&piece);
+        }
+        Ok(read)
+    };
+    match tokio::time::timeout(limits.request_timeout, reading).await {
+        Ok(read) => read,
+        Err(_) => Err(slow_request(limits.request_timeout)),
+    }
+}
+
+/// The connection broke while the body arrived.
+pub(super) fn broken(error: &axum::Error) -> Problem {
+    Problem::new(Code::BadRequest, format!("the body broke off: {error}"))
+}
+
+/// The body did not arrive.
+pub(super) fn slow_request(waited: Duration) -> Problem {
+    let detail = format!("the server waited {} s for the body", waited.as_secs_f64());
+    Problem::new(Code::RequestTimeout, detail)
+}
+
+/// Answers after `time` at the latest.
+pub(super) async fn within<T>(
+    time: Duration,
+    work: impl Future<Output = Result<T, Problem>>,
+) -> Result<T, Problem> {
+    let Ok(done) = tokio::time::timeout(time, work).await else {
+        let detail = format!("there was no answer within {} s", time.as_secs_f64());
+        return Err(Problem::new(Code::AnswerTimeout, detail));
+    };
+    done
+}

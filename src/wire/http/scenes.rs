@@ -1,0 +1,194 @@
+//! Scenes: create, list, one, drop.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::body::Body;
+use axum::extract::State;
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::{IntoResponse, Response};
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use super::App;
+use super::request::{self, BodyType, Parameters, Path, body_type};
+use crate::service::{Scene, SceneName, SceneState};
+use crate::wire::convert::{Settings, SettingsDocument};
+use crate::wire::decode;
+use crate::wire::problem::{Code, Fault, Problem};
+
+/// A scene.
+#[derive(Serialize, ToSchema)]
+pub(crate) struct SceneDocument {
+    /// Its name.
+    #[schema(example = "pocket")]
+    name: String,
+    /// Its settings; left out when its files do not tell.
+    #[serde(flatten)]
+    settings: Option<SettingsDocument>,
+    /// Number of cubes; null while it does not answer.
+    cubes: Option<u64>,
+    /// Newest durable change; null while it does not answer.
+    seq: Option<u64>,
+    /// Name of this life of the scene: another one after it was dropped and created again.
+    #[schema(example = "6f1d3c0a9b2e4d57")]
+    incarnation: String,
+    /// How it is.
+    state: State_,
+    /// How far its replay is, 0 to 100.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    percent: Option<u8>,
+    /// Why it does not answer.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    cause: Option<String>,
+}
+
+/// How a scene is.
+#[derive(Serialize, ToSchema)]
+#[schema(as = SceneState)]
+#[serde(rename_all = "lowercase")]
+enum State_ {
+    /// Answers.
+    Running,
+    /// Is being replayed.
+    Recovering,
+    /// A write failed; it comes back by itself.
+    Stopped,
+    /// Its files are damaged; it does not come back by itself.
+    Damaged,
+}
+
+/// All scenes.
+#[derive(Serialize, ToSchema)]
+pub(crate) struct SceneList {
+    /// By name.
+    scenes: Vec<SceneDocument>,
+}
+
+fn document(scene: &Scene) -> SceneDocument {
+    let published = scene.published().ok();
+    let (state, percent, cause) = match scene.state() {
+        SceneState::Running => (State_::Running, None, None),
+        SceneState::Recovering { percent } => (State_::Recovering, Some(percent), None),
+        SceneState::Stopped { cause, .. } => (State_::Stopped, None, Some(cause)),
+        SceneState::Damaged { cause } => (State_::Damaged, None, Some(cause)),
+    };
+    SceneDocument {
+        name: scene.name().as_str().to_owned(),
+        settings: Settings::from_text(scene.settings()).map(|settings| settings.document()),
+        cubes: published.map(|published| published.totals.cubes),
+        seq: published.map(|published| published.seq.0),
+        incarnation: incarnation(scene),
+        state,
+        percent,
+        cause,
+    }
+}
+
+/// The name of a scene's life, in a form that every JSON reader keeps exact.
+pub(super) fn incarnation(scene: &Scene) -> String {
+    format!("{:016x}", scene.incarnation())
+}
+
+/// A scene with the settings that this module gave it.
+pub(super) fn open(app: &App, name: &str) -> Result<(Arc<Scene>, Settings), Problem> {
+    let scene = app.service.scene(name)?;
+    let Some(settings) = Settings::from_text(scene.settings()) else {
+        // A scene that does not run says why by itself; one that runs has settings.
+        scene.published()?;
+        return Err(Problem::new(
+            Code::Internal,
+            "the scene's settings are in a form that this version does not know",
+        ));
+    };
+    Ok((scene, settings))
+}
+
+/// Create a scene
+///
+/// Only `edge` has no default. A scene that exists with the same settings is left as it is.
+#[utoipa::path(
+    put, path = "/v1/scenes/{scene}", tag = "scenes",
+    params(("scene" = String, Path, description = "Name: `[a-z0-9][a-z0-9._-]{0,62}`", example = "pocket")),
+    request_body(content = inline(crate::wire::openapi::SettingsWanted), content_type = "application/json",
+        example = json!({"edge": 6, "steps_per_unit": 1000, "unit": "mm", "density": 1, "anchor": "corner", "rounding": "nearest"})),
+    responses(
+        (status = 201, description = "Created", body = SceneDocument),
+        (status = 200, description = "Exists with the same settings", body = SceneDocument),
+    )
+)]
+pub(super) async fn put_scene(
+    State(app): State<App>,
+    Path(name): Path<String>,
+    parameters: Parameters,
+    headers: HeaderMap,
+    body: Body,
+) -> Result<Response, Problem> {
+    parameters.only(&[])?;
+    let name = SceneName::new(&name)
+        .map_err(|detail| Problem::from(Fault::in_parameter("scene", detail, &name)))?;
+    body_type(&headers, &[BodyType::Json])?;
+    let settings = decode::settings(&request::read(&headers, body, &app.limits).await?)?;
+    let (scene, new) = app
+        .service
+        .create(&name, settings.edge(), &settings.text())
+        .await?;
+    let status = if new {
+        StatusCode::CREATED
+    } else {
+        StatusCode::OK
+    };
+    Ok((status, Json(document(&scene))).into_response())
+}
+
+/// List the scenes
+#[utoipa::path(
+    get, path = "/v1/scenes", tag = "scenes",
+    responses((status = 200, description = "All scenes", body = SceneList))
+)]
+pub(super) async fn get_scenes(
+    State(app): State<App>,
+    parameters: Parameters,
+) -> Result<Json<SceneList>, Problem> {
+    parameters.only(&[])?;
+    let scenes = app.service.scenes();
+    Ok(Json(SceneList {
+        scenes: scenes.iter().map(|scene| document(scene)).collect(),
+    }))
+}
+
+/// Get a scene
+///
+/// Its settings, how many cubes it has and how it is; also while it does not answer.
+#[utoipa::path(
+    get, path = "/v1/scenes/{scene}", tag = "scenes",
+    params(("scene" = String, Path, description = "Name of the scene", example = "pocket")),
+    responses((status = 200, description = "The scene", body = SceneDocument))
+)]
+pub(super) async fn get_scene(
+    State(app): State<App>,
+    Path(name): Path<String>,
+    parameters: Parameters,
+) -> Result<Json<SceneDocument>, Problem> {
+    parameters.only(&[])?;
+    Ok(Json(document(&*app.service.scene(&name)?)))
+}
+
+/// Drop a scene with its data
+#[utoipa::path(
+    delete, path = "/v1/scenes/{scene}", tag = "scenes",
+    params(("scene" = String, Path, description = "Name of the scene", example = "pocket")),
+    responses((status = 204, description = "Dropped"))
+)]
+pub(super) async fn delete_scene(
+    State(app): State<App>,
+    Path(name): Path<String>,
+    parameters: Parameters,
+) -> Result<StatusCode, Problem> {
+    parameters.only(&[])?;
+    // A name that cannot exist is one that does not.
+    let no_such = |_| crate::service::ServiceError::NoSuchScene(name.clone());
+    let name = SceneName::new(&name).map_err(no_such)?;
+    app.service.remove(&name).await?;
+    Ok(StatusCode::NO_CONTENT)
+}

@@ -1,0 +1,259 @@
+//! The description of the API: `OpenAPI` 3.1, made from the handlers themselves.
+//!
+//! What each call may fail with is one table here, joined with the table of problems: status, document and an example each.
+
+use std::collections::BTreeMap;
+use std::sync::OnceLock;
+
+use serde_json::json;
+use utoipa::openapi::path::Operation;
+use utoipa::openapi::{
+    ContentBuilder, HeaderBuilder, Object, Ref, RefOr, ResponseBuilder, Type,
+    example::ExampleBuilder,
+};
+use utoipa::{Modify, OpenApi, ToSchema};
+
+use super::convert::{Anchor, Rounding};
+use super::http::{changes, operate, reads, scenes};
+use super::problem::{Code, Kind, ProblemDocument};
+
+/// Settings of a new scene.
+#[derive(ToSchema)]
+#[expect(dead_code, reason = "only its shape is used; `decode` reads it")]
+pub(super) struct SettingsWanted {
+    /// Edge of every cube, in user units. Times `steps_per_unit` a whole number from 1 to 16,777,216.
+    edge: f64,
+    /// Lattice steps in a user unit.
+    #[schema(default = 1000, minimum = 1, maximum = 1_000_000_000)]
+    steps_per_unit: Option<u32>,
+    /// Label of the user unit.
+    #[schema(default = "mm", min_length = 1, max_length = 32)]
+    unit: Option<String>,
+    /// Mass of a cubic user unit.
+    #[schema(default = 1, exclusive_minimum = 0, maximum = 1e200)]
+    density: Option<f64>,
+    /// What `at` names.
+    #[schema(default = "corner")]
+    anchor: Option<Anchor>,
+    /// What becomes of a coordinate between two steps.
+    #[schema(default = "nearest")]
+    rounding: Option<Rounding>,
+}
+
+/// An atomic change: deletions first.
+#[derive(ToSchema)]
+#[expect(dead_code, reason = "only its shape is used; `decode` reads it")]
+pub(super) struct ChangeWanted {
+    /// Ids of the cubes to delete.
+    delete: Option<Vec<u64>>,
+    /// Cubes to insert.
+    insert: Option<Vec<CubeWanted>>,
+}
+
+/// A cube to insert.
+#[derive(ToSchema)]
+#[expect(dead_code, reason = "only its shape is used; `decode` reads it")]
+pub(super) struct CubeWanted {
+    /// The client's own number, unique in the scene. All cubes of a change have one, or none has.
+    id: Option<u64>,
+    /// Lower corner or centre, in user units.
+    at: [f64; 3],
+}
+
+/// One line of a stream: one operation.
+#[derive(ToSchema)]
+#[expect(dead_code, reason = "only its shape is used; `decode` reads it")]
+#[schema(rename_all = "lowercase")]
+pub(super) enum LineWanted {
+    /// Insert a cube.
+    Insert(NamedCube),
+    /// Delete the cube of this id.
+    Delete(u64),
+}
+
+/// A cube to insert, with its id.
+#[derive(ToSchema)]
+#[expect(dead_code, reason = "only its shape is used; `decode` reads it")]
+pub(super) struct NamedCube {
+    /// The client's own number, unique in the scene.
+    id: u64,
+    /// Lower corner or centre, in user units.
+    at: [f64; 3],
+}
+
+#[derive(OpenApi)]
+#[openapi(
+    info(
+        title = "union3d",
+        description = "Exact mass properties of the union of many cubes, current while cubes are inserted and deleted. \
+            An answer to a change means that it is on stable storage."
+    ),
+    paths(
+        scenes::put_scene, scenes::get_scenes, scenes::get_scene, scenes::delete_scene,
+        changes::post_changes, changes::delete_cube,
+        reads::get_mass_properties, reads::stream_mass_properties, reads::get_history, reads::post_audit,
+        reads::get_cube, reads::get_cubes, reads::get_contains,
+        operate::get_healthz, operate::get_readyz, operate::get_metrics, operate::get_openapi,
+        operate::get_problems, operate::get_problem,
+    ),
+    components(schemas(ProblemDocument, CubeWanted, NamedCube)),
+    modifiers(&Problems),
+    tags(
+        (name = "scenes", description = "Sets of equal cubes"),
+        (name = "changes", description = "Inserting and deleting cubes"),
+        (name = "mass properties", description = "What is measured, now, in the past and as it changes"),
+        (name = "cubes", description = "The cubes themselves"),
+        (name = "operation", description = "For those who run the service"),
+    )
+)]
+struct Description;
+
+/// The description as text.
+pub(super) fn text() -> &'static str {
+    static TEXT: OnceLock<String> = OnceLock::new();
+    TEXT.get_or_init(|| {
+        let description = Description::openapi();
+        description
+            .to_pretty_json()
+            .expect("a description has only strings for keys")
+    })
+}
+
+/// What a call may fail with, besides [`EVERY_CALL`] and, where a scene must answer, [`EVERY_SCENE`].
+fn failures(operation: &str) -> &'static [Code] {
+    use Code::{
+        AuditDifference, BadJson, BadProtobuf, DiskFull, IdConflict, IdsExhausted, KeyReused,
+        NoSuchCube, NoSuchPath, QueueFull, Recovering, RequestTimeout, SceneExists, SceneFull,
+        SeqNotKept, SeqNotReached, ShuttingDown, StorageFailed, TooLarge, UnsupportedMediaType,
+        WaitTimeout,
+    };
+    match operation {
+        "put_scene" => &[
+            BadJson,
+            RequestTimeout,
+            SceneExists,
+            TooLarge,
+            UnsupportedMediaType,
+            StorageFailed,
+            DiskFull,
+            ShuttingDown,
+            Recovering,
+        ],
+        "post_changes" => &[
+            BadJson,
+            BadProtobuf,
+            RequestTimeout,
+            IdConflict,
+            IdsExhausted,
+            TooLarge,
+            UnsupportedMediaType,
+            SceneFull,
+            KeyReused,
+            QueueFull,
+        ],
+        "delete_cube" => &[QueueFull],
+        "get_mass_properties" => &[SeqNotKept, SeqNotReached, WaitTimeout],
+        "get_history" => &[SeqNotKept],
+        "get_cube" => &[NoSuchCube],
+        "post_audit" => &[AuditDifference],
+        "get_readyz" => &[Recovering],
+        "get_problem" => &[NoSuchPath],
+        _ => &[],
+    }
+}
+
+/// What every call may fail with.
+const EVERY_CALL: &[Code] = &[Code::Internal, Code::AnswerTimeout];
+
+/// What every call with a query or a path may fail with.
+const EVERY_PARAMETER: &[Code] = &[Code::BadRequest, Code::Invalid];
+
+/// What every call to a scene may fail with.
+const EVERY_SCENE: &[Code] = &[
+    Code::NoSuchScene,
+    Code::Recovering,
+    Code::SceneStopped,
+    Code::SceneDamaged,
+    Code::DiskFull,
+    Code::ShuttingDown,
+];
+
+struct Problems;
+
+impl Modify for Problems {
+    fn modify(&self, description: &mut utoipa::openapi::OpenApi) {
+        for (path, item) in &mut description.paths.paths {
+            let operations = [
+                &mut item.get,
+                &mut item.put,
+                &mut item.post,
+                &mut item.delete,
+            ];
+            for operation in operations.into_iter().flatten() {
+                add_failures(path, operation);
+            }
+        }
+    }
+}
+
+fn add_failures(path: &str, operation: &mut Operation) {
+    let name = operation.operation_id.clone().unwrap_or_default();
+    let mut codes = [failures(&name), EVERY_CALL].concat();
+    if path.starts_with("/v1/") {
+        codes.extend_from_slice(EVERY_PARAMETER);
+    }
+    if path.starts_with("/v1/scenes/{scene}") && name != "put_scene" {
+        codes.extend_from_slice(EVERY_SCENE);
+    }
+    let mut by_status: BTreeMap<u16, Vec<&Kind>> = BTreeMap::new();
+    for code in codes {
+        let kind = code.kind();
+        let kinds = by_status.entry(kind.status).or_default();
+        if !kinds.contains(&kind) {
+            kinds.push(kind);
+        }
+    }
+    for (status, kinds) in by_status {
+        let response = failure(&kinds);
+        operation
+            .responses
+            .responses
+            .insert(status.to_string(), RefOr::T(response));
+    }
+}
+
+/// The response of one status, which may stand for several types of problems.
+fn failure(kinds: &[&Kind]) -> utoipa::openapi::Response {
+    let titles: Vec<_> = kinds
+        .iter()
+        .map(|kind| format!("`{}`: {}", kind.code, kind.title))
+        .collect();
+    let example = |kind: &&Kind| {
+        let document = json!({
+            "type": format!("/problems/{}", kind.code),
+            "title": kind.title,
+            "status": kind.status,
+            "detail": kind.meaning,
+        });
+        let example = ExampleBuilder::new()
+            .summary(kind.title)
+            .value(Some(document))
+            .build();
+        (kind.code.to_owned(), RefOr::T(example))
+    };
+    let content = ContentBuilder::new()
+        .schema(Some(Ref::from_schema_name("Problem")))
+        .examples_from_iter(kinds.iter().map(example))
+        .build();
+    let response = ResponseBuilder::new()
+        .description(titles.join("; "))
+        .content("application/problem+json", content);
+    if kinds.iter().all(|kind| kind.retry_after_seconds.is_none()) {
+        return response.build();
+    }
+    let seconds = HeaderBuilder::new()
+        .schema(Some(Object::with_type(Type::Integer)))
+        .description(Some("Seconds after which a retry may succeed"))
+        .build();
+    response.header("Retry-After", seconds).build()
+}

@@ -1,0 +1,432 @@
+//! Everything that can go wrong, as RFC 9457 problem documents with stable types.
+//!
+//! A type is a relative URI, `/problems/CODE`, that the server itself explains. Clients may rely on the code and the status;
+//! title and detail are for people.
+
+use std::borrow::Cow;
+
+use axum::http::{HeaderValue, StatusCode, Uri, header};
+use axum::response::{IntoResponse, Response};
+use problem_details::ProblemDetails;
+use serde::Serialize;
+use serde_json::{Map, Value, value::RawValue};
+use utoipa::ToSchema;
+
+use crate::service::ServiceError;
+
+/// Most faults that one answer names.
+pub const FAULTS_MAX: usize = 100;
+
+/// Longest piece of a client's text that an answer repeats, in bytes.
+const ECHO_BYTES_MAX: usize = 80;
+
+/// What a type of problem means.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, ToSchema)]
+pub struct Kind {
+    /// The last part of the type's URI.
+    #[schema(example = "id-conflict")]
+    pub code: &'static str,
+    /// HTTP status.
+    #[schema(example = 409)]
+    pub status: u16,
+    /// Short summary, the same for every occurrence.
+    pub title: &'static str,
+    /// What it means and what to do.
+    pub meaning: &'static str,
+    /// Seconds after which a retry may succeed, where that is known.
+    pub retry_after_seconds: Option<u32>,
+}
+
+macro_rules! kinds {
+    ($($name:ident $code:literal $status:literal $retry:expr, $title:literal, $meaning:literal;)*) => {
+        /// The types of problems.
+        #[derive(Clone, Copy, PartialEq, Eq, Debug)]
+        pub enum Code {
+            $(#[doc = $title] $name,)*
+        }
+
+        /// What the types mean, in the order of [`Code`].
+        pub const KINDS: &[Kind] = &[$(Kind {
+            code: $code,
+            status: $status,
+            title: $title,
+            meaning: $meaning,
+            retry_after_seconds: $retry,
+        },)*];
+    };
+}
+
+kinds! {
+    BadRequest "bad-request" 400 None, "The request cannot be read",
+        "The path is not UTF-8, or the connection broke while the body arrived.";
+    BadJson "bad-json" 400 None, "The body is not JSON",
+        "`line` and `column` say where reading stopped; for a stream `line` is the line of the stream. Nothing of the change was applied.";
+    BadProtobuf "bad-protobuf" 400 None, "The body is not a protobuf message",
+        "The body must be one message union3d.v1.Change.";
+    NoSuchPath "no-such-path" 404 None, "There is nothing at this path",
+        "/openapi.json and /docs describe every path.";
+    NoSuchScene "no-such-scene" 404 None, "There is no such scene",
+        "Create it with PUT /v1/scenes/{scene}.";
+    NoSuchCube "no-such-cube" 404 None, "There is no such cube",
+        "No cube of the scene has this id now.";
+    SeqNotReached "seq-not-reached" 404 None, "The scene has not come to this seq",
+        "`newest` is the newest. ?wait=SEQ waits for one to come.";
+    MethodNotAllowed "method-not-allowed" 405 None, "The path does not take this method",
+        "The Allow header lists the methods that it takes.";
+    RequestTimeout "request-timeout" 408 None, "The request took too long to arrive",
+        "The body paused or lasted longer than the server waits. Of an atomic change nothing was applied; of a stream the first `committed_lines`.";
+    WaitTimeout "wait-timeout" 408 None, "The seq did not come in time",
+        "The wait is bounded; ask again to wait on.";
+    SceneExists "scene-exists" 409 None, "The scene exists with other settings",
+        "`settings` are those it has. Settings are fixed for a scene's life: delete it first, or use another name.";
+    IdConflict "id-conflict" 409 None, "An id is at another place already",
+        "A cube is moved by deleting and inserting its id in one change. Nothing of the change was applied; of a stream the first `committed_lines`.";
+    IdsExhausted "ids-exhausted" 409 None, "The server has no ids left to give",
+        "Give the ids yourself.";
+    SeqNotKept "seq-not-kept" 410 None, "This seq is no longer kept",
+        "`oldest` is the oldest whose totals are kept.";
+    TooLarge "too-large" 413 None, "The request is larger than the limits",
+        "Split the change, or send application/x-ndjson, which has no limit as a whole.";
+    UnsupportedMediaType "unsupported-media-type" 415 None, "The body's type is not taken here",
+        "The detail lists the types that are. Content-Encoding is not taken.";
+    Invalid "invalid" 422 None, "The request can be read but is wrong",
+        "`errors` names the first hundred faults, each with its place and value. Nothing of the change was applied; of a stream the first `committed_lines`.";
+    SceneFull "scene-full" 422 None, "The scene would hold too many cubes",
+        "A scene holds at most 2^31 cubes.";
+    KeyReused "idempotency-key-reused" 422 None, "The idempotency key came before with another body",
+        "A key stands for one body. Use a new key for a new change.";
+    QueueFull "queue-full" 429 Some(1), "Too many changes are waiting",
+        "Nothing of the change was applied. Send it again after the time in Retry-After.";
+    Internal "internal" 500 None, "The server failed",
+        "A fault of the server, which its log describes. Whether a change was applied is shown by its seq; sending it again is safe when it names its ids or has an Idempotency-Key.";
+    AuditDifference "audit-difference" 500 None, "The totals differ from a recount",
+        "`kept` are the totals the scene answers with, `recounted` those of its cubes. They must never differ: keep the data directory and report it.";
+    Recovering "recovering" 503 Some(1), "The scene is being replayed",
+        "It answers when `percent` has come to 100.";
+    SceneStopped "scene-stopped" 503 Some(5), "The scene is stopped after a failed write",
+        "`cause` says why. It comes back by itself when the disk takes writes again. Whether the last change was applied is shown by the seq then.";
+    SceneDamaged "scene-damaged" 503 None, "The scene's files are damaged",
+        "`cause` says what is damaged and what to do. It does not come back by itself, and never with wrong totals.";
+    ShuttingDown "shutting-down" 503 Some(5), "The server is shutting down",
+        "Nothing of the change was applied; of a stream the first `committed_lines`.";
+    AnswerTimeout "answer-timeout" 503 Some(5), "The answer took too long",
+        "A change may still be applied. Sending it again is safe when it names its ids or has an Idempotency-Key.";
+    StorageFailed "storage-failed" 503 Some(5), "The data directory does not take the scene's files",
+        "`cause` says why.";
+    DiskFull "disk-full" 507 Some(5), "The disk is full",
+        "Nothing of the change was applied. The scene comes back by itself when there is space again.";
+}
+
+impl Code {
+    /// What this type means.
+    pub fn kind(self) -> &'static Kind {
+        &KINDS[self as usize]
+    }
+
+    /// HTTP status.
+    pub fn status(self) -> StatusCode {
+        StatusCode::from_u16(self.kind().status).expect("the table has statuses of three digits")
+    }
+}
+
+/// One thing that is wrong in a request.
+#[derive(Clone, PartialEq, Debug, Serialize, ToSchema)]
+pub struct Fault {
+    /// Where in the body: an RFC 6901 JSON pointer.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(example = "/insert/3/at/1")]
+    pub pointer: Option<String>,
+    /// Where else: the name of a path or query parameter, or of a header.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub parameter: Option<Cow<'static, str>>,
+    /// What is wrong with it.
+    #[schema(example = "is not a number")]
+    pub detail: Cow<'static, str>,
+    /// What was sent there; as text where it is no JSON number or very long.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<Object>)]
+    pub value: Option<Value>,
+}
+
+impl Fault {
+    /// A fault in the body, at an RFC 6901 JSON pointer.
+    pub fn at(
+        pointer: String,
+        detail: impl Into<Cow<'static, str>>,
+        value: Option<&RawValue>,
+    ) -> Self {
+        Self {
+            pointer: Some(pointer),
+            parameter: None,
+            detail: detail.into(),
+            value: value.map(|raw| echo(raw.get())),
+        }
+    }
+
+    /// A fault in a parameter or header.
+    pub fn in_parameter(
+        parameter: impl Into<Cow<'static, str>>,
+        detail: impl Into<Cow<'static, str>>,
+        value: &str,
+    ) -> Self {
+        Self {
+            pointer: None,
+            parameter: Some(parameter.into()),
+            detail: detail.into(),
+            value: Some(Value::String(shortened(value))),
+        }
+    }
+}
+
+/// A client's JSON as it may be repeated: scalars as they are, as text what is long or what a number cannot hold.
+fn echo(raw: &str) -> Value {
+    let scalar = raw.len() <= ECHO_BYTES_MAX && !raw.starts_with(['{', '[']);
+    match serde_json::from_str(raw) {
+        Ok(Value::Number(number)) if number.is_f64() && !raw.contains(['.', 'e', 'E']) => {
+            Value::String(shortened(raw))
+        }
+        Ok(value) if scalar => value,
+        _ => Value::String(shortened(raw)),
+    }
+}
+
+fn shortened(text: &str) -> String {
+    if text.len() <= ECHO_BYTES_MAX {
+        return text.to_owned();
+    }
+    format!("{}...", &text[..text.floor_char_boundary(ECHO_BYTES_MAX)])
+}
+
+/// The first hundred faults of a request.
+#[derive(Debug, Default)]
+pub struct Faults(Vec<Fault>);
+
+impl Faults {
+    /// Notes one; beyond the hundredth they are dropped.
+    pub fn push(&mut self, fault: Fault) {
+        if !self.is_full() {
+            self.0.push(fault);
+        }
+    }
+
+    /// Whether there are a hundred: looking for more is of no use.
+    pub fn is_full(&self) -> bool {
+        self.0.len() >= FAULTS_MAX
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// Whether the place `pointer` is at fault already.
+    pub fn names(&self, pointer: &str) -> bool {
+        self.0
+            .iter()
+            .any(|fault| fault.pointer.as_deref() == Some(pointer))
+    }
+
+    /// The faults as one problem.
+    pub fn into_problem(self) -> Problem {
+        let detail = match self.0.as_slice() {
+            [only] => described(only),
+            [first, ..] => format!("{}, and other faults: see errors", described(first)),
+            [] => "the request is wrong".to_owned(),
+        };
+        let mut problem = Problem::new(Code::Invalid, detail);
+        problem.0.faults = self.0;
+        problem
+    }
+}
+
+fn described(fault: &Fault) -> String {
+    let place = match (&fault.pointer, &fault.parameter) {
+        (Some(pointer), _) if pointer.is_empty() => "the body",
+        (Some(pointer), _) => pointer,
+        (None, Some(parameter)) => parameter,
+        (None, None) => "the request",
+    };
+    format!("{place} {}", fault.detail)
+}
+
+impl From<Fault> for Problem {
+    fn from(fault: Fault) -> Self {
+        Faults(vec![fault]).into_problem()
+    }
+}
+
+/// A problem on its way to the client.
+#[derive(Debug)]
+pub struct Problem(Box<Parts>);
+
+#[derive(Debug)]
+struct Parts {
+    code: Code,
+    detail: String,
+    faults: Vec<Fault>,
+    members: Map<String, Value>,
+}
+
+impl Problem {
+    /// A problem with what is particular to this occurrence.
+    pub fn new(code: Code, detail: impl Into<String>) -> Self {
+        Self(Box::new(Parts {
+            code,
+            detail: detail.into(),
+            faults: vec![],
+            members: Map::new(),
+        }))
+    }
+
+    /// Adds an extension member.
+    #[must_use]
+    pub fn with(mut self, name: &str, value: impl Into<Value>) -> Self {
+        self.0.members.insert(name.to_owned(), value.into());
+        self
+    }
+
+    /// Adds a fault with its place.
+    #[must_use]
+    pub fn with_fault(mut self, fault: Fault) -> Self {
+        self.0.faults.push(fault);
+        self
+    }
+
+    /// Says in front of the detail where in the request it is.
+    #[must_use]
+    pub fn within(mut self, place: &str) -> Self {
+        self.0.detail = format!("{place}: {}", self.0.detail);
+        self
+    }
+
+    /// Which type it is.
+    pub fn code(&self) -> Code {
+        self.0.code
+    }
+}
+
+impl From<ServiceError> for Problem {
+    fn from(error: ServiceError) -> Self {
+        let detail = error.to_string();
+        let problem = |code| Problem::new(code, detail);
+        match error {
+            ServiceError::NoSuchScene(_) => problem(Code::NoSuchScene),
+            ServiceError::SceneExists { settings, .. } => {
+                // The text is JSON that this module's neighbour wrote; were it not, it is shown as it is.
+                let settings = serde_json::from_str(&settings).unwrap_or(Value::String(settings));
+                problem(Code::SceneExists).with("settings", settings)
+            }
+            ServiceError::Recovering { percent } => {
+                problem(Code::Recovering).with("percent", percent)
+            }
+            ServiceError::Stopped { cause, full } => problem(if full {
+                Code::DiskFull
+            } else {
+                Code::SceneStopped
+            })
+            .with("cause", cause),
+            ServiceError::Damaged { cause } => problem(Code::SceneDamaged).with("cause", cause),
+            ServiceError::QueueFull { .. } => problem(Code::QueueFull),
+            ServiceError::Rejected(crate::engine::Rejected::IdConflict { id, .. }) => {
+                problem(Code::IdConflict).with("id", id.0)
+            }
+            ServiceError::Rejected(crate::engine::Rejected::TooManyCubes { .. }) => {
+                problem(Code::SceneFull)
+            }
+            ServiceError::IdsExhausted { .. } => problem(Code::IdsExhausted),
+            ServiceError::KeyReused => problem(Code::KeyReused),
+            ServiceError::SeqNotKept { oldest, .. } => {
+                problem(Code::SeqNotKept).with("oldest", oldest.0)
+            }
+            ServiceError::SeqNotReached { newest, .. } => {
+                problem(Code::SeqNotReached).with("newest", newest.0)
+            }
+            ServiceError::ShuttingDown => problem(Code::ShuttingDown),
+            ServiceError::Storage { cause, full } => problem(if full {
+                Code::DiskFull
+            } else {
+                Code::StorageFailed
+            })
+            .with("cause", cause),
+        }
+    }
+}
+
+#[derive(Serialize)]
+struct Extensions {
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    errors: Vec<Fault>,
+    #[serde(flatten)]
+    members: Map<String, Value>,
+}
+
+impl IntoResponse for Problem {
+    fn into_response(self) -> Response {
+        let Parts {
+            code,
+            detail,
+            faults,
+            members,
+        } = *self.0;
+        let kind = code.kind();
+        let details = ProblemDetails::from_status_code(code.status())
+            .with_type(
+                Uri::try_from(format!("/problems/{}", kind.code))
+                    .expect("codes are letters and hyphens"),
+            )
+            .with_title(kind.title)
+            .with_detail(detail)
+            .with_extensions(Extensions {
+                errors: faults,
+                members,
+            });
+        let mut response = details.into_response();
+        if let Some(seconds) = kind.retry_after_seconds {
+            response
+                .headers_mut()
+                .insert(header::RETRY_AFTER, HeaderValue::from(seconds));
+        }
+        response
+    }
+}
+
+/// A problem document: RFC 9457 with the members of this API.
+#[derive(Serialize, ToSchema)]
+#[schema(as = Problem)]
+pub struct ProblemDocument {
+    /// URI of the type: `/problems/CODE` on this server, which explains it.
+    #[schema(example = "/problems/invalid")]
+    r#type: String,
+    /// Summary of the type.
+    title: String,
+    /// HTTP status.
+    status: u16,
+    /// What is particular to this occurrence.
+    detail: String,
+    /// The first hundred faults of the request.
+    errors: Option<Vec<Fault>>,
+    /// Line of the body (or of the stream) where reading stopped, from 1.
+    line: Option<u64>,
+    /// Column in that line, from 1.
+    column: Option<u64>,
+    /// Lines from the stream's beginning that are committed.
+    committed_lines: Option<u64>,
+    /// The scene's seq after what was committed; of an audit, the seq it is as of.
+    seq: Option<u64>,
+    /// How far the replay is, 0 to 100.
+    percent: Option<u8>,
+    /// Why the scene does not answer.
+    cause: Option<String>,
+    /// The id in conflict.
+    id: Option<u64>,
+    /// Oldest seq that is kept.
+    oldest: Option<u64>,
+    /// Newest seq there is.
+    newest: Option<u64>,
+    /// The settings that the scene has.
+    settings: Option<super::convert::SettingsDocument>,
+    /// The totals that the scene answers with.
+    kept: Option<super::convert::MassProperties>,
+    /// The totals of its cubes, recounted.
+    recounted: Option<super::convert::MassProperties>,
+}

@@ -1,0 +1,535 @@
+//! `union3d mill`: from a program to the mass properties of what the cutter covers, here and on a server.
+
+use std::collections::BTreeMap;
+use std::io::{BufRead, BufReader, Write};
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::sync::{Arc, Mutex};
+
+use axum::body::Bytes;
+use axum::extract::{Path as UrlPath, State};
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::IntoResponse;
+use axum::routing::{get, post};
+use axum::{Json, Router};
+use prost::Message;
+use serde_json::{Value, json};
+use union3d::wire::proto::Change;
+
+fn command(arguments: &[&str], input: &str) -> Output {
+    let mut child = Command::new(env!("CARGO_BIN_EXE_union3d"))
+        .args(arguments)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the binary runs");
+    // A command that refuses its arguments does not read its input: then this write fails, and that is no matter.
+    let _ = child
+        .stdin
+        .take()
+        .expect("piped")
+        .write_all(input.as_bytes());
+    child.wait_with_output().expect("it ends")
+}
+
+/// Mills a program from standard input: the JSON it prints, and its warnings.
+#[track_caller]
+fn mill(arguments: &[&str], program: &str) -> (Value, String) {
+    let output = command(&[&["mill", "-", "--json"], arguments].concat(), program);
+    let errors = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success(), "{errors}");
+    (
+        serde_json::from_slice(&output.stdout).expect("one JSON object"),
+        errors,
+    )
+}
+
+#[track_caller]
+fn check_refused(arguments: &[&str], program: &str, words: &[&str]) {
+    let output = command(&[&["mill"], arguments].concat(), program);
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success(), "{program}");
+    assert_eq!(output.stdout, b"", "{program}");
+    for word in words {
+        assert!(errors.contains(word), "no {word:?} in {errors:?}");
+    }
+}
+
+#[test]
+fn a_straight_cut_is_a_box() {
+    let (milled, warnings) = mill(&["--edge", "2"], "G21 G1 X10 F100\n");
+    assert_eq!(warnings, "");
+    assert_eq!(milled["moves"], 1);
+    // The default step is a twentieth of the edge.
+    assert_eq!(milled["cubes"], 101);
+    assert!(milled["seconds"].as_f64().unwrap() > 0.0);
+    let found = &milled["mass_properties"];
+    assert_eq!(
+        (&found["scene"], &found["seq"]),
+        (&Value::Null, &Value::Null)
+    );
+    assert_eq!(found["exact"]["volume"], "48000000000");
+    assert_eq!(
+        found["bounds"],
+        json!({"min": [-1.0, -1.0, -1.0], "max": [11.0, 1.0, 1.0]})
+    );
+    assert_eq!(found["edge_length"]["total"], 64.0);
+
+    let (milled, _) = mill(&["--edge", "2", "--step", "3"], "G21 G1 X10 F100\n");
+    assert_eq!(milled["cubes"], 5);
+}
+
+#[test]
+fn rapids_cut_only_when_asked_to() {
+    let program = "G21 G1 X1\nG0 X11\nG1 X12\n";
+    let (milled, _) = mill(&["--edge", "2"], program);
+    assert_eq!(
+        (&milled["moves"], &milled["mass_properties"]["volume"]),
+        (&json!(2), &json!(24.0))
+    );
+    let (milled, _) = mill(&["--edge", "2", "--rapid"], program);
+    assert_eq!(
+        (&milled["moves"], &milled["mass_properties"]["volume"]),
+        (&json!(3), &json!(56.0))
+    );
+}
+
+#[test]
+fn places_that_repeat_are_dropped_and_centres_rounded() {
+    // Half a step to either side: corners go away from zero.
+    let (milled, _) = mill(
+        &["--edge", "1", "--steps-per-unit", "1"],
+        "G21 G1 X0 Y0 Z1\n",
+    );
+    assert_eq!(
+        milled["mass_properties"]["bounds"],
+        json!({"min": [-1.0, -1.0, -1.0], "max": [0.0, 0.0, 2.0]})
+    );
+    // Twenty positions, three places.
+    assert_eq!(milled["cubes"], 3);
+    let (milled, _) = mill(&["--edge", "1"], "G21 G1 X1\nX1\nX0\n");
+    assert_eq!(milled["cubes"], 41);
+}
+
+#[test]
+fn inch_programs_and_inch_scenes_meet() {
+    let (in_mm, _) = mill(&["--edge", "2"], "G20 G1 X1\n");
+    assert_eq!(in_mm["mass_properties"]["volume"], 27.4 * 4.0);
+    let (in_inch, _) = mill(&["--edge", "2", "--unit", "inch"], "G21 G1 X25.4\n");
+    assert_eq!(in_inch["mass_properties"]["volume"], 12.0);
+    assert_eq!(
+        in_inch["mass_properties"]["bounds"]["max"],
+        json!([2.0, 1.0, 1.0])
+    );
+}
+
+#[test]
+fn arcs_sweep_a_ring() {
+    // A circle of radius 20: the cutter's shadow is between those of the circles inscribed and circumscribed in it.
+    let (milled, _) = mill(&["--edge", "2", "--step", "0.01"], "G21 G0 X20\nG3 I-20\n");
+    let volume = milled["mass_properties"]["volume"].as_f64().unwrap();
+    let ring =
+        |width: f64| std::f64::consts::PI * ((20.0 + width).powi(2) - (20.0 - width).powi(2)) * 2.0;
+    assert!(volume > ring(1.0) && volume < ring(1.5), "{volume}");
+    assert_eq!(milled["mass_properties"]["euler_characteristic"], 0);
+}
+
+#[test]
+fn warnings_come_with_their_lines_and_not_a_thousand_times() {
+    let program = format!("G21\nG42 D1\n{}", "G91 G2 X2.1 I1\n".repeat(14));
+    let (milled, warnings) = mill(&["--edge", "1"], &program);
+    assert_eq!(milled["moves"], 14);
+    assert!(
+        warnings.contains("warning: line 2: G42 ignored: cutter compensation"),
+        "{warnings}"
+    );
+    assert_eq!(warnings.matches("uneven arc").count(), 11, "{warnings}");
+    assert!(warnings.contains("4 more lines: uneven arc"), "{warnings}");
+    // No bar where there is no terminal.
+    assert!(
+        !warnings.contains('\u{1b}') && !warnings.contains('\r'),
+        "{warnings:?}"
+    );
+}
+
+#[test]
+fn refused_programs_measure_nothing() {
+    for (program, words) in [
+        (
+            "G21\nG81 X1 Z-1 R1\n",
+            &["line 2, column 1", "G81 is refused", "canned cycles"][..],
+        ),
+        ("G21\nG1 X1 A90\n", &["line 2, column 7", "A90 is refused"]),
+        ("G21\nG1 X#5\n", &["line 2, column 4"]),
+        ("G21\nG2 X10 R1\n", &["line 2", "too small", "10.0000"]),
+        (
+            "G21\n G1 X99999999\n",
+            &["line 2", "the cutter cannot be at x ="],
+        ),
+    ] {
+        check_refused(&["-", "--edge", "3", "--step", "1"], program, words);
+    }
+    check_refused(&["-"], "", &["--edge"]);
+    check_refused(&["-", "--edge", "1.00005"], "G21 G1 X1\n", &["--edge"]);
+    check_refused(
+        &["-", "--edge", "1", "--step", "0"],
+        "",
+        &["--step", "more than 0"],
+    );
+    check_refused(
+        &["-", "--edge", "1", "--step", "1e-300"],
+        "G21 G1 X1\n",
+        &["--step 1e-300", "--steps-per-unit"],
+    );
+    check_refused(&["-", "--edge", "1", "--scene", "a"], "", &["--server"]);
+    check_refused(&["no/such.gcode", "--edge", "1"], "", &["no/such.gcode"]);
+    check_refused(
+        &["-", "--edge", "1", "--out", "no/such/out.i32"],
+        "G21 G1 X1\n",
+        &["no/such/out.i32"],
+    );
+}
+
+#[test]
+fn the_cubes_kept_measure_the_same() {
+    let directory = tempfile::tempdir().unwrap();
+    let out = directory.path().join("cubes.i32");
+    let out = out.to_str().unwrap();
+    let program = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/cli/demo.gcode");
+    let program = std::fs::read_to_string(program).unwrap();
+    let (milled, _) = mill(&["--edge", "3", "--out", out], &program);
+    assert_eq!(
+        milled["cubes"].as_u64().unwrap() * 12,
+        std::fs::metadata(out).unwrap().len()
+    );
+    let measured = command(&["measure", out, "--edge", "3", "--json"], "");
+    let measured: Value = serde_json::from_slice(&measured.stdout).unwrap();
+    assert_eq!(measured, milled["mass_properties"]);
+}
+
+#[test]
+fn people_get_a_table() {
+    let output = command(&["mill", "-", "--edge", "2"], "G21 G1 X10\n");
+    let table = String::from_utf8(output.stdout).unwrap();
+    for words in [
+        "1 moves, 101 cubes in ",
+        " cubes/s\n",
+        "volume                48 mm^3\n",
+        "64 mm (convex 64,",
+    ] {
+        assert!(table.contains(words), "no {words:?} in\n{table}");
+    }
+}
+
+/// A server that answers like union3d's and is difficult about it: it is busy at every third change.
+#[derive(Default)]
+struct Difficult {
+    settings: Option<Value>,
+    cubes: BTreeMap<u64, [i32; 3]>,
+    changes: u64,
+    /// Sizes of the changes taken.
+    sizes: Vec<usize>,
+    refuse_all: bool,
+}
+
+type Shared = Arc<Mutex<Difficult>>;
+
+fn difficult(state: &Shared) -> (tokio::runtime::Runtime, String) {
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    let listener = runtime
+        .block_on(tokio::net::TcpListener::bind("127.0.0.1:0"))
+        .unwrap();
+    let url = format!("http://{}", listener.local_addr().unwrap());
+    let router = Router::new()
+        .route("/v1/scenes/{scene}", get(describe).put(create))
+        .route("/v1/scenes/{scene}/cubes", get(list))
+        .route("/v1/scenes/{scene}/changes", post(change))
+        .route("/v1/scenes/{scene}/mass-properties", get(totals))
+        .with_state(Arc::clone(state));
+    runtime.spawn(async move { axum::serve(listener, router).await });
+    (runtime, url)
+}
+
+async fn describe(
+    State(state): State<Shared>,
+    UrlPath(scene): UrlPath<String>,
+) -> impl IntoResponse {
+    let state = state.lock().unwrap();
+    match &state.settings {
+        None => (
+            StatusCode::NOT_FOUND,
+            Json(json!({"title": "no such scene", "status": 404})),
+        ),
+        Some(settings) => {
+            let mut answer = settings.clone();
+            answer["scene"] = scene.into();
+            answer["cubes"] = state.cubes.len().into();
+            (StatusCode::OK, Json(answer))
+        }
+    }
+}
+
+async fn create(State(state): State<Shared>, Json(settings): Json<Value>) -> impl IntoResponse {
+    state.lock().unwrap().settings = Some(settings);
+    StatusCode::CREATED
+}
+
+async fn list(State(state): State<Shared>, headers: HeaderMap) -> String {
+    assert_eq!(headers["accept"], "application/x-ndjson");
+    let state = state.lock().unwrap();
+    state
+        .cubes
+        .iter()
+        .map(|(id, at)| format!("{}\n", json!({"insert": {"id": id, "at": at}})))
+        .collect()
+}
+
+async fn change(State(state): State<Shared>, headers: HeaderMap, body: Bytes) -> impl IntoResponse {
+    assert_eq!(headers["content-type"], "application/x-protobuf");
+    let mut state = state.lock().unwrap();
+    state.changes += 1;
+    if state.refuse_all {
+        let problem =
+            json!({"title": "unprocessable", "status": 422, "detail": "nothing is good enough"});
+        return (
+            StatusCode::UNPROCESSABLE_ENTITY,
+            HeaderMap::new(),
+            Json(problem),
+        );
+    }
+    if state.changes.is_multiple_of(3) {
+        let retry = HeaderMap::from_iter([("retry-after".parse().unwrap(), "0".parse().unwrap())]);
+        return (
+            StatusCode::TOO_MANY_REQUESTS,
+            retry,
+            Json(json!({"title": "busy", "status": 429})),
+        );
+    }
+    let change = Change::decode(body).unwrap();
+    state.sizes.push(change.x.len());
+    for (index, id) in change.insert_id.iter().enumerate() {
+        let at = [change.x[index], change.y[index], change.z[index]];
+        assert_eq!(state.cubes.insert(*id, at), None, "id {id} came twice");
+    }
+    (
+        StatusCode::OK,
+        HeaderMap::new(),
+        Json(json!({"seq": state.changes})),
+    )
+}
+
+async fn totals(State(state): State<Shared>, UrlPath(scene): UrlPath<String>) -> Json<Value> {
+    Json(json!({"scene": scene, "seq": 1, "cubes": state.lock().unwrap().cubes.len()}))
+}
+
+#[test]
+fn cubes_are_streamed_in_batches_and_a_busy_server_is_waited_for() {
+    let state = Shared::default();
+    let (_runtime, url) = difficult(&state);
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("My Pocket.gcode");
+    std::fs::write(&file, "G21 G1 X20 F100\n").unwrap();
+    let out = directory.path().join("cubes.i32");
+    let arguments = [
+        "mill",
+        file.to_str().unwrap(),
+        "--edge",
+        "2",
+        "--step",
+        "0.001",
+        "--server",
+        &url,
+        "--out",
+        out.to_str().unwrap(),
+        "--json",
+    ];
+    let output = command(&arguments, "");
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    let milled: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(milled["cubes"], 20_001);
+    assert_eq!(
+        milled["mass_properties"],
+        json!({"scene": "my-pocket", "seq": 1, "cubes": 20_001})
+    );
+    {
+        let state = state.lock().unwrap();
+        assert_eq!(
+            state.settings,
+            Some(json!({"edge": 2.0, "steps_per_unit": 1000, "unit": "mm"}))
+        );
+        let mut sizes = state.sizes.clone();
+        sizes.sort_unstable();
+        assert_eq!(sizes, [3_617, 4_096, 4_096, 4_096, 4_096]);
+        // Ids count from 1 along the path, and the file has the same cubes.
+        assert_eq!(
+            (state.cubes[&1], state.cubes[&20_001]),
+            ([-1000, -1000, -1000], [19_000, -1000, -1000])
+        );
+        let kept: Vec<u8> = state
+            .cubes
+            .values()
+            .flatten()
+            .flat_map(|coordinate| coordinate.to_le_bytes())
+            .collect();
+        assert_eq!(kept, std::fs::read(&out).unwrap());
+    }
+    // Into the same scene again: after the ids that are there.
+    let output = command(&arguments, "");
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    assert_eq!(state.lock().unwrap().cubes.len(), 40_002);
+}
+
+#[test]
+fn what_a_server_refuses_is_said() {
+    let state = Shared::default();
+    let (runtime, url) = difficult(&state);
+    let to_server = |server: &str, words: &[&str]| {
+        check_refused(
+            &["-", "--edge", "2", "--server", server, "--scene", "a"],
+            "G21 G1 X1\n",
+            words,
+        );
+    };
+    state.lock().unwrap().refuse_all = true;
+    to_server(
+        &url,
+        &["422", "nothing is good enough", "/v1/scenes/a/changes"],
+    );
+    state.lock().unwrap().settings = Some(json!({"edge": 3, "steps_per_unit": 1000, "unit": "mm"}));
+    to_server(
+        &url,
+        &["scene \"a\" exists with edge 3", "need 2.0", "--scene"],
+    );
+    state.lock().unwrap().settings =
+        Some(json!({"edge": 2, "steps_per_unit": 1000, "unit": "inch"}));
+    to_server(&url, &["unit \"inch\""]);
+    drop(runtime);
+    to_server(&url, &["cannot reach", &url, "union3d serve"]);
+    to_server("localhost:7373", &["http://127.0.0.1:7373"]);
+    to_server("https://127.0.0.1:7373", &["http://"]);
+    to_server("7373", &["http://127.0.0.1:7373"]);
+}
+
+/// A server of its own, ended with the test.
+struct Server {
+    child: Child,
+    url: String,
+}
+
+impl Server {
+    fn start(data: &Path) -> Self {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_union3d"))
+            .args([
+                "serve",
+                "--http",
+                "127.0.0.1:0",
+                "--log-filter",
+                "error",
+                "--data",
+            ])
+            .arg(data)
+            .stdout(Stdio::piped())
+            .spawn()
+            .expect("the binary runs");
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().expect("piped"))
+            .read_line(&mut line)
+            .unwrap();
+        let url = line
+            .trim()
+            .strip_prefix("listening ")
+            .expect("the address")
+            .to_owned();
+        Self { child, url }
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        self.child.kill().expect("it is ours");
+        self.child.wait().expect("it ends");
+    }
+}
+
+#[test]
+fn a_server_measures_what_is_measured_here() {
+    let directory = tempfile::tempdir().unwrap();
+    let server = Server::start(&directory.path().join("data"));
+    let program = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/cli/demo.gcode");
+    let program = std::fs::read_to_string(program).unwrap();
+    let (here, _) = mill(&["--edge", "3"], &program);
+    let (mut there, _) = mill(
+        &["--edge", "3", "--server", &server.url, "--scene", "plate"],
+        &program,
+    );
+    assert_eq!(there["cubes"], here["cubes"]);
+    let properties = &mut there["mass_properties"];
+    assert_eq!(properties["scene"].take(), "plate");
+    assert!(properties["seq"].take().as_u64().unwrap() > 1);
+    assert_eq!(*properties, here["mass_properties"]);
+
+    // What the server lists measures the same again.
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    let listing = runtime.block_on(async {
+        let url = format!("{}/v1/scenes/plate/cubes", server.url);
+        let request = reqwest::Client::new()
+            .get(url)
+            .header("accept", "application/x-ndjson");
+        request.send().await.unwrap().text().await.unwrap()
+    });
+    let measured = command(&["measure", "-", "--edge", "3", "--json"], &listing);
+    let measured: Value = serde_json::from_slice(&measured.stdout).unwrap();
+    assert_eq!(measured, here["mass_properties"]);
+
+    // Again into the same scene: twice the cubes, one union.
+    let (twice, _) = mill(
+        &["--edge", "3", "--server", &server.url, "--scene", "plate"],
+        &program,
+    );
+    assert_eq!(
+        twice["mass_properties"]["exact"],
+        here["mass_properties"]["exact"]
+    );
+    assert_eq!(
+        twice["mass_properties"]["cubes"],
+        2 * here["cubes"].as_u64().unwrap()
+    );
+    check_refused(
+        &[
+            "-",
+            "--edge",
+            "2",
+            "--server",
+            &server.url,
+            "--scene",
+            "plate",
+        ],
+        "G21 G1 X1\n",
+        &[
+            "scene \"plate\" exists with edge 3",
+            "choose another --scene",
+        ],
+    );
+    check_refused(
+        &[
+            "-",
+            "--edge",
+            "2",
+            "--server",
+            &server.url,
+            "--scene",
+            "Not A Name",
+        ],
+        "G21 G1 X1\n",
+        &["Not A Name"],
+    );
+}

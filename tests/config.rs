@@ -1,0 +1,103 @@
+//! The settings of the server: which source wins, and what is refused.
+
+use std::path::PathBuf;
+
+use union3d::config::{LogFormat, ServeConfig, ServeFlags};
+
+fn variables(list: &[(&str, &str)]) -> Vec<(String, String)> {
+    let owned = |&(name, value): &(&str, &str)| (name.to_owned(), value.to_owned());
+    list.iter().map(owned).collect()
+}
+
+/// Merges a file of this text with variables and flags.
+fn merge(text: &str, list: &[(&str, &str)], flags: &ServeFlags) -> Result<ServeConfig, String> {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("union3d.toml");
+    std::fs::write(&file, text).unwrap();
+    ServeConfig::merge(Some(&file), variables(list), flags).map_err(|error| error.to_string())
+}
+
+#[test]
+fn nothing_set_gives_the_defaults() {
+    let none = ServeConfig::merge(None, [], &ServeFlags::default()).unwrap();
+    assert_eq!(none, ServeConfig::default());
+    assert_eq!(
+        merge("", &[], &ServeFlags::default()),
+        Ok(ServeConfig::default())
+    );
+    assert_eq!(none.http.to_string(), "127.0.0.1:7373");
+}
+
+#[test]
+fn flags_win_over_variables_over_the_file() {
+    let text =
+        "http = '127.0.0.1:1'\nqueue_changes_max = 1\nbody_bytes_max = 1\nlog_format = 'json'\n";
+    let list = [
+        ("UNION3D_HTTP", "[::1]:2"),
+        ("UNION3D_QUEUE_CHANGES_MAX", "2"),
+        ("UNION3D_LOG_FILTER", "debug"),
+    ];
+    let flags = ServeFlags {
+        http: Some("127.0.0.1:0".parse().unwrap()),
+        data: Some(PathBuf::from("/some where/ö")),
+        ..ServeFlags::default()
+    };
+    let config = merge(text, &list, &flags).unwrap();
+    assert_eq!(config.http.to_string(), "127.0.0.1:0");
+    assert_eq!(config.data, PathBuf::from("/some where/ö"));
+    assert_eq!(config.queue_changes_max.get(), 2);
+    assert_eq!(config.body_bytes_max.get(), 1);
+    assert_eq!(config.log_format, LogFormat::Json);
+    assert_eq!(config.log_filter, "debug");
+    assert_eq!(
+        config.change_cubes_max,
+        ServeConfig::default().change_cubes_max
+    );
+}
+
+#[test]
+fn an_unknown_key_of_the_file_is_refused_by_name() {
+    let error = merge("htp = '127.0.0.1:1'", &[], &ServeFlags::default()).unwrap_err();
+    assert!(error.contains("htp"), "{error}");
+}
+
+#[test]
+fn variables_of_others_are_left_alone() {
+    let list = [
+        ("UNION3D_PORT_7373_TCP", "tcp://10.0.0.1:7373"),
+        ("UNION3D_CONFIG", "x.toml"),
+        ("UNION3D_HTTP", ""),
+        ("PATH", "/bin"),
+    ];
+    assert_eq!(
+        merge("", &list, &ServeFlags::default()),
+        Ok(ServeConfig::default())
+    );
+}
+
+#[test]
+fn a_value_out_of_range_is_refused_with_its_key() {
+    for (text, key) in [
+        ("queue_changes_max = 0", "queue_changes_max"),
+        ("queue_changes_max = -5", "queue_changes_max"),
+        ("http = 'localhost'", "http"),
+        ("log_format = 'xml'", "log_format"),
+        ("change_cubes_max = 100000000", "change_cubes_max"),
+    ] {
+        let error = merge(text, &[], &ServeFlags::default()).unwrap_err();
+        assert!(error.contains(key), "{text}: {error}");
+    }
+    let list = [("UNION3D_BODY_BYTES_MAX", "many")];
+    let error = merge("", &list, &ServeFlags::default()).unwrap_err();
+    assert!(error.contains("body_bytes_max"), "{error}");
+}
+
+#[test]
+fn a_file_that_is_not_there_is_refused_by_name() {
+    let missing = PathBuf::from("/nowhere/union3d.toml");
+    let error = ServeConfig::merge(Some(&missing), [], &ServeFlags::default()).unwrap_err();
+    assert!(
+        error.to_string().contains("/nowhere/union3d.toml"),
+        "{error}"
+    );
+}

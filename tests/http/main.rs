@@ -1,0 +1,9 @@
+//! The HTTP API as its clients meet it: a real server on a free port of this machine, spoken to with a real client.
+
+mod changes;
+mod description;
+mod reads;
+mod refusals;
+mod scenes;
+mod server;
+mod streams;

@@ -1,0 +1,178 @@
+//! A server in this process, and short ways to ask it.
+
+use std::future::Future;
+use std::time::{Duration, Instant};
+
+use reqwest::header::HeaderMap;
+use reqwest::{Method, RequestBuilder};
+use serde_json::Value;
+use tempfile::TempDir;
+use union3d::service::{FaultHook, Readiness, Service, ServiceConfig};
+use union3d::wire::http::{Limits, router};
+
+pub(crate) const JSON: &str = "application/json";
+pub(crate) const NDJSON: &str = "application/x-ndjson";
+pub(crate) const PROTOBUF: &str = "application/x-protobuf";
+
+/// Longer than anything here takes, so that a hang is told from a slow machine.
+pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
+
+pub(crate) struct Server {
+    pub(crate) address: String,
+    pub(crate) service: Service,
+    client: reqwest::Client,
+    _data: TempDir,
+}
+
+pub(crate) struct Answer {
+    pub(crate) status: u16,
+    pub(crate) headers: HeaderMap,
+    pub(crate) text: String,
+}
+
+impl Server {
+    pub(crate) async fn start() -> Self {
+        Self::with(Limits::default(), |config| config, None).await
+    }
+
+    pub(crate) async fn limited(limits: Limits) -> Self {
+        Self::with(limits, |config| config, None).await
+    }
+
+    pub(crate) async fn with(
+        limits: Limits,
+        config: impl FnOnce(ServiceConfig) -> ServiceConfig,
+        faults: Option<FaultHook>,
+    ) -> Self {
+        let data = tempfile::tempdir().unwrap();
+        let config = config(ServiceConfig::new(data.path()));
+        let service = match faults {
+            Some(faults) => Service::start_with_faults(config, faults).unwrap(),
+            None => Service::start(config).unwrap(),
+        };
+        eventually("the service is ready", || {
+            let ready = matches!(service.readiness(), Readiness::Ready { .. });
+            async move { ready }
+        })
+        .await;
+        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = listener.local_addr().unwrap().to_string();
+        let app = router(service.clone(), limits);
+        tokio::spawn(async move { axum::serve(listener, app).await.unwrap() });
+        Self {
+            address,
+            service,
+            client: reqwest::Client::new(),
+            _data: data,
+        }
+    }
+
+    pub(crate) fn request(&self, method: &str, path: &str) -> RequestBuilder {
+        let method = Method::from_bytes(method.as_bytes()).unwrap();
+        let url = format!("http://{}{path}", self.address);
+        self.client.request(method, url).timeout(PATIENCE)
+    }
+
+    pub(crate) async fn get(&self, path: &str) -> Answer {
+        send(self.request("GET", path)).await
+    }
+
+    pub(crate) async fn send(&self, method: &str, path: &str, kind: &str, body: &str) -> Answer {
+        let request = self.request(method, path).header("content-type", kind);
+        send(request.body(body.to_owned())).await
+    }
+
+    /// Creates a scene of cubes of this edge, one step a unit.
+    pub(crate) async fn scene(&self, name: &str, edge: u32) -> String {
+        let settings = format!("{{\"edge\":{edge},\"steps_per_unit\":1}}");
+        self.scene_with(name, &settings).await
+    }
+
+    /// Creates a scene and answers its path.
+    pub(crate) async fn scene_with(&self, name: &str, settings: &str) -> String {
+        let path = format!("/v1/scenes/{name}");
+        let answer = self.send("PUT", &path, JSON, settings).await;
+        assert_eq!(answer.status, 201, "{}", answer.text);
+        path
+    }
+
+    pub(crate) async fn change(&self, scene: &str, body: &str) -> Answer {
+        let path = format!("{scene}/changes");
+        self.send("POST", &path, JSON, body).await
+    }
+
+    pub(crate) async fn lines(&self, scene: &str, body: &str) -> Answer {
+        let path = format!("{scene}/changes");
+        self.send("POST", &path, NDJSON, body).await
+    }
+
+    pub(crate) async fn totals(&self, scene: &str) -> Value {
+        let answer = self.get(&format!("{scene}/mass-properties")).await;
+        assert_eq!(answer.status, 200, "{}", answer.text);
+        answer.json()
+    }
+}
+
+pub(crate) async fn send(request: RequestBuilder) -> Answer {
+    let response = request.send().await.unwrap();
+    Answer {
+        status: response.status().as_u16(),
+        headers: response.headers().clone(),
+        text: response.text().await.unwrap(),
+    }
+}
+
+impl Answer {
+    pub(crate) fn json(&self) -> Value {
+        serde_json::from_str(&self.text).unwrap_or_else(|_| panic!("no JSON: {}", self.text))
+    }
+
+    pub(crate) fn header(&self, name: &str) -> &str {
+        let value = self.headers.get(name);
+        value.map_or("", |value| value.to_str().unwrap())
+    }
+
+    /// The JSON of an answer that went well.
+    #[track_caller]
+    pub(crate) fn ok(&self) -> Value {
+        assert_eq!(self.status, 200, "{}", self.text);
+        self.json()
+    }
+
+    /// Checks that this is a problem as RFC 9457 and this API promise it, and answers the document.
+    #[track_caller]
+    pub(crate) fn problem(&self, status: u16, code: &str) -> Value {
+        assert_eq!(self.status, status, "{}", self.text);
+        assert_eq!(self.header("content-type"), "application/problem+json");
+        let document = self.json();
+        assert_eq!(document["type"], format!("/problems/{code}"), "{document}");
+        assert_eq!(document["status"], status, "{document}");
+        for member in ["title", "detail"] {
+            assert!(document[member].is_string(), "no {member} in {document}");
+        }
+        document
+    }
+
+    /// The places at fault of a 422.
+    #[track_caller]
+    pub(crate) fn places(&self) -> Vec<String> {
+        let document = self.problem(422, "invalid");
+        let errors = document["errors"].as_array().unwrap().iter();
+        errors
+            .map(|error| {
+                assert!(error["detail"].is_string());
+                let place = error.get("pointer").or(error.get("parameter"));
+                place.unwrap().as_str().unwrap().to_owned()
+            })
+            .collect()
+    }
+}
+
+/// Waits until something holds.
+pub(crate) async fn eventually<F: Future<Output = bool>>(what: &str, mut holds: impl FnMut() -> F) {
+    let deadline = Instant::now() + PATIENCE;
+    while !holds().await {
+        assert!(Instant::now() < deadline, "in vain: {what}");
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+}

@@ -1,0 +1,153 @@
+//! Keeps the direction of the imports, the integers of the core and the top level of the repository.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Which module may name which others. Imports point one way: wire -> service -> {log, engine} -> geometry.
+const MAY_NAME: [(&str, &[&str]); 7] = [
+    ("geometry", &[]),
+    ("engine", &["geometry"]),
+    ("log", &["geometry"]),
+    ("service", &["engine", "geometry", "log"]),
+    ("wire", &["engine", "geometry", "service"]),
+    ("toolpath", &[]),
+    ("config", &["service", "wire"]),
+];
+
+/// Modules in which a float would be a mistake.
+const INTEGERS_ONLY: [&str; 4] = ["geometry", "engine", "log", "service"];
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// The sources of a module: `src/name.rs` and everything under `src/name`.
+fn sources(module: &str) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    let mut open = vec![root().join("src").join(module)];
+    while let Some(directory) = open.pop() {
+        for entry in fs::read_dir(directory).into_iter().flatten() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                open.push(path);
+            } else if path.extension().is_some_and(|extension| extension == "rs") {
+                found.push(path);
+            }
+        }
+    }
+    let single = root().join("src").join(format!("{module}.rs"));
+    found.extend(single.exists().then_some(single));
+    found
+}
+
+/// The code of a file line by line, without comments.
+fn code(path: &Path) -> Vec<(usize, String)> {
+    let text = fs::read_to_string(path).unwrap();
+    let code = |line: &str| line.split("//").next().unwrap_or_default().to_owned();
+    text.lines()
+        .enumerate()
+        .map(|(index, line)| (index + 1, code(line)))
+        .collect()
+}
+
+/// Modules named after `crate::` in a line, braces included.
+fn named(line: &str) -> Vec<String> {
+    let mut names = Vec::new();
+    for (at, _) in line.match_indices("crate::") {
+        let rest = &line[at + "crate::".len()..];
+        let list = rest
+            .strip_prefix('{')
+            .map_or(rest, |inside| inside.split('}').next().unwrap_or_default());
+        let several = if rest.starts_with('{') {
+            list.split(',').collect()
+        } else {
+            vec![list]
+        };
+        for name in several {
+            let end = name
+                .trim_start()
+                .find(|letter: char| !letter.is_alphanumeric() && letter != '_');
+            let name = name.trim_start();
+            names.push(name[..end.unwrap_or(name.len())].to_owned());
+        }
+    }
+    names
+}
+
+#[test]
+fn imports_point_one_way() {
+    let modules: BTreeSet<&str> = MAY_NAME
+        .iter()
+        .map(|(module, _)| *module)
+        .chain(["cli"])
+        .collect();
+    for (module, allowed) in MAY_NAME {
+        let sources = sources(module);
+        assert!(!sources.is_empty(), "there is no module {module}");
+        for path in sources {
+            for (number, line) in code(&path) {
+                for name in named(&line) {
+                    let fine = name == module
+                        || allowed.contains(&name.as_str())
+                        || !modules.contains(name.as_str());
+                    assert!(
+                        fine,
+                        "{}:{number}: {module} must not name {name}: {line}",
+                        path.display()
+                    );
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn the_core_has_no_floats_and_no_async() {
+    for module in INTEGERS_ONLY {
+        for path in sources(module) {
+            for (number, line) in code(&path) {
+                let words: Vec<&str> = line
+                    .split(|letter: char| !letter.is_alphanumeric() && letter != '_')
+                    .collect();
+                for float in ["f32", "f64"] {
+                    assert!(
+                        !words.contains(&float),
+                        "{}:{number}: a float in {module}: {line}",
+                        path.display()
+                    );
+                }
+                if module != "service" {
+                    for word in ["async", "await", "tokio", "serde"] {
+                        assert!(
+                            !words.contains(&word),
+                            "{}:{number}: {word} in {module}: {line}",
+                            path.display()
+                        );
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn the_top_level_holds_nothing_else() {
+    let expected = [
+        "Cargo.lock",
+        "Cargo.toml",
+        "Dockerfile",
+        "README.md",
+        "deploy",
+        "proto",
+        "src",
+        "tests",
+    ];
+    let entries = fs::read_dir(root())
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    let found: BTreeSet<String> = entries
+        .filter(|name| !name.starts_with('.') && name != "target" && name != "union3d-data")
+        .collect();
+    assert_eq!(found, expected.map(str::to_owned).into());
+}

@@ -1,0 +1,729 @@
+//! What a user relies on when a program of G-code is read: where the cutter goes, and what is said about the words it cannot
+//! follow.
+//!
+//! Set `UNION3D_GCODE_DIR` to a directory with the real programs of the last tests (they are skipped without).
+
+use std::f64::consts::{PI, SQRT_2, TAU};
+use std::fmt::Write;
+use std::io::BufReader;
+use std::path::PathBuf;
+
+use proptest::prelude::*;
+use union3d::toolpath::{Event, Motion, Move, Moves, Sampler};
+
+/// Runs a program: its events as text, one a line, or the error.
+fn run(program: &str) -> Result<String, String> {
+    let mut text = String::new();
+    for event in Moves::new(program.as_bytes()) {
+        match event.map_err(|error| error.to_string())? {
+            Event::Move(next) => {
+                let motion = match next.motion {
+                    Motion::Rapid => "rapid",
+                    Motion::Feed => "feed",
+                    Motion::Arc => "arc",
+                };
+                let [x, y, z] = next.end.map(tidy);
+                write!(text, "{} {motion} {x} {y} {z}", next.line).unwrap();
+                if let Some(feed) = next.feed {
+                    write!(text, " F{}", tidy(feed)).unwrap();
+                }
+            }
+            Event::Dwell { line, seconds } => write!(text, "{line} dwell {seconds}").unwrap(),
+            Event::Warning(warning) => {
+                write!(text, "{} ! {}", warning.line, warning.subject).unwrap()
+            }
+        }
+        text.push('\n');
+    }
+    Ok(text)
+}
+
+/// Six decimals, no negative zero.
+fn tidy(value: f64) -> f64 {
+    (value * 1e6).round() / 1e6 + 0.0
+}
+
+/// The events of a program, spaces around lines aside.
+#[track_caller]
+fn check(program: &str, expected: &str) {
+    let tidied: Vec<_> = expected
+        .lines()
+        .map(str::trim)
+        .filter(|line| !line.is_empty())
+        .collect();
+    match run(program) {
+        Ok(events) => assert_eq!(events.lines().collect::<Vec<_>>(), tidied, "{program}"),
+        Err(error) => panic!("{program}: {error}"),
+    }
+}
+
+/// As [`check`], in millimetres: the warning about a missing unit is not what the case is about.
+#[track_caller]
+fn check_mm(program: &str, expected: &str) {
+    check(&format!("G21 {program}"), expected);
+}
+
+#[track_caller]
+fn check_refused(program: &str, place: &str, words: &str) {
+    match run(program) {
+        Ok(events) => panic!("{program:?} was run:\n{events}"),
+        Err(error) => {
+            assert!(error.starts_with(place), "{program:?}: {error}");
+            assert!(error.contains(words), "{program:?}: {error}");
+        }
+    }
+}
+
+fn moves(program: &str) -> Vec<Move> {
+    Moves::new(program.as_bytes())
+        .filter_map(
+            |event| match event.unwrap_or_else(|error| panic!("{program}: {error}")) {
+                Event::Move(next) => Some(next),
+                _ => None,
+            },
+        )
+        .collect()
+}
+
+/// The last move of a program in millimetres.
+fn last(program: &str) -> Move {
+    *moves(&format!("G21\n{program}")).last().expect("a move")
+}
+
+#[track_caller]
+fn assert_near(found: [f64; 3], expected: [f64; 3]) {
+    for axis in 0..3 {
+        assert!(
+            (found[axis] - expected[axis]).abs() < 1e-9,
+            "{found:?} is not {expected:?}"
+        );
+    }
+}
+
+#[test]
+fn words_are_read_as_machines_read_them() {
+    check_mm("G0X1Y2Z3", "1 rapid 1 2 3");
+    check_mm("g1 x-1.5 y+.5 z2. f100", "1 feed -1.5 0.5 2 F100");
+    check_mm("G 01 X 10 Y - 2", "1 feed 10 -2 0");
+    check_mm("G1X1\r\nY2\r\n", "1 feed 1 0 0\n2 feed 1 2 0");
+    check_mm("G1\tX1\t( a comment )Y2 ; Y3 G0", "1 feed 1 2 0");
+    check_mm("G1 X1 ; a ( b", "1 feed 1 0 0");
+    check_mm("G1 X1 (a; b) Y2", "1 feed 1 2 0");
+    check_mm("(Fr\u{e4}sen \u{1F600}) G1 X1", "1 feed 1 0 0");
+    check(
+        "%\nO1234 (name)\nN10 G21\nN20 G1 X1\n%\nG1 X2",
+        "4 feed 1 0 0\n6 ! the rest of the file",
+    );
+    check("G21 G1 X1\n%\n% \n\n(end)\n", "1 feed 1 0 0");
+    check("\u{feff}G21 G1 X1", "1 feed 1 0 0");
+    check("", "");
+    check("\n\n( nothing )\n;\n", "");
+    check_mm("\n/G1 X5\n/ G1 X6\nG1 X1", "2 ! block delete\n4 feed 1 0 0");
+    // Values are not squeezed through 32 bits.
+    assert_eq!(last("G1 X1234.5678901").end[0], 1_234.567_890_1);
+}
+
+#[test]
+fn comments_of_any_encoding_pass() {
+    let mut program = b"G21 (Fr\xe4sen)\nG1 X1\n".to_vec();
+    program.extend(b"; \xff\xfe\n");
+    let events: Vec<_> = Moves::new(&program[..]).map(Result::unwrap).collect();
+    assert_eq!(events.len(), 1);
+}
+
+#[test]
+fn motion_is_modal() {
+    check_mm(
+        "G0 X1\nY2\nG1 Z-1 F60\nX3\nX4 Y4 F30\nG2 X6 I1\nX8 I1\nG80\nG1\nX9",
+        "1 rapid 1 0 0
+         2 rapid 1 2 0
+         3 feed 1 2 -1 F60
+         4 feed 3 2 -1 F60
+         5 feed 4 4 -1 F30
+         6 arc 6 4 -1 F30
+         7 arc 8 4 -1 F30
+         10 feed 9 4 -1 F30",
+    );
+    check_refused("X1", "line 1, column 1:", "without a motion word");
+    check_refused(
+        "G21 G1 X1\nG80\n X2",
+        "line 3, column 2:",
+        "without a motion word",
+    );
+}
+
+#[test]
+fn units_convert_and_feeds_with_them() {
+    check(
+        "G20 G1 X1 F10\nG21 X50 F100\nG20 Y-.5",
+        "1 feed 25.4 0 0 F254\n2 feed 50 0 0 F100\n3 feed 50 -12.7 0 F100",
+    );
+    // The order of words on a line is of no consequence.
+    check("G1 X1 F10 G20", "1 feed 25.4 0 0 F254");
+    check("G20 G2 X2 I1", "1 arc 50.8 0 0");
+    check("G1 X1\nX2", "1 ! unit\n1 feed 1 0 0\n2 feed 2 0 0");
+    check_mm("G1 X1 F0\nX2 F5", "1 feed 1 0 0\n2 feed 2 0 0 F5");
+}
+
+#[test]
+fn distances_are_absolute_or_relative() {
+    check_mm(
+        "G91 G1 X1 Y1\nX1\nG90 X1 Z3\nG91 Z1",
+        "1 feed 1 1 0\n2 feed 2 1 0\n3 feed 1 1 3\n4 feed 1 1 4",
+    );
+    check_mm(
+        "G91 G0 X10\nG2 X2 I1\nG3 X-2 I-1",
+        "1 rapid 10 0 0\n2 arc 12 0 0\n3 arc 10 0 0",
+    );
+    // Centres: relative to the start unless G90.1, whatever G90 and G91 say.
+    check_mm(
+        "G0 X10\nG90.1 G2 X12 I11 J0\nG91.1 G2 X14 I1",
+        "1 rapid 10 0 0\n2 arc 12 0 0\n3 arc 14 0 0",
+    );
+    check_refused("G21 G90.1 G2 X2 I1", "line 1,", "J or R is missing");
+}
+
+#[test]
+fn g92_shifts_the_coordinates() {
+    check_mm(
+        "G0 X10 Y5\nG92 X0\nG1 X5\nY1\nG92.2\nX1\nG92.3\nX1\nG92.1 X2\nG92.3 X3",
+        "1 rapid 10 5 0
+         3 feed 15 5 0
+         4 feed 15 1 0
+         6 feed 1 1 0
+         8 feed 11 1 0
+         9 feed 2 1 0
+         10 feed 3 1 0",
+    );
+    check(
+        "G20 G0 X1\nG92 X0 Y1\nG1 X1 Y1",
+        "1 rapid 25.4 0 0\n3 feed 50.8 0 0",
+    );
+    check_mm(
+        "G0 X10\nG92 X0\nG90.1 G2 X2 I1 J0",
+        "1 rapid 10 0 0\n3 arc 12 0 0",
+    );
+    check_refused("G21 G92 G28 X1", "line 1, column 9:", "both claim");
+}
+
+#[test]
+fn stops_dwells_and_ends() {
+    check_mm(
+        "G4 P1.5\nG1 X1\nG4 X2\nG4 P0",
+        "1 dwell 1.5\n2 feed 1 0 0\n3 dwell 2\n4 dwell 0",
+    );
+    check_mm(
+        "M0\nG1 X1 M3 S1000\nM1\nX2 M8\nT1\nX3\nM30\n\nX4\nX5",
+        "2 feed 1 0 0\n4 feed 2 0 0\n6 feed 3 0 0\n9 ! the rest of the file",
+    );
+    check_mm("G1 X1 M2\n%", "1 feed 1 0 0");
+    check_refused("G21\nG4 P-1", "line 2, column 4:", "-1 s");
+}
+
+#[test]
+fn feeds_by_inverse_time_become_speeds() {
+    // Two moves a minute, each 10 mm.
+    check_mm(
+        "G93 G1 X10 F2\nG1 Y10 F4\nG94 X0\nX1 F7",
+        "1 feed 10 0 0 F20\n2 feed 10 10 0 F40\n3 feed 0 10 0\n4 feed 1 10 0 F7",
+    );
+    check_mm("G95 G1 X1 F0.1", "1 ! G95\n1 feed 1 0 0");
+}
+
+#[test]
+fn what_changes_nothing_passes_without_a_word() {
+    for word in [
+        "G40", "G49", "G50", "G61", "G61.1", "G64 P0.1", "G69", "G80", "G94", "G97", "G98", "G99",
+        "G15", "M0", "M1", "M3 S1", "M5", "M9", "M48", "S1000", "T3", "D1", "H1", "N5", "O7",
+    ] {
+        check(&format!("G21\n{word}\nG1 X1"), "3 feed 1 0 0");
+    }
+}
+
+#[test]
+fn what_is_ignored_is_said_once_per_kind() {
+    for (word, subject) in [
+        ("G41 D1", "G41"),
+        ("G42", "G42"),
+        ("G41.1", "G41.1"),
+        ("G43 H1", "G43"),
+        ("G44", "G44"),
+        ("G43.1 Z0", "G43.1"),
+        ("G54", "G54"),
+        ("G59.3", "G59.3"),
+        ("G28", "G28/G30"),
+        ("G28 Z0", "G28/G30"),
+        ("G91 G30 Z0", "G28/G30"),
+        ("G53 G0 Z0", "G53"),
+        ("G53 Z0", "G53"),
+        ("M6 T2", "M6"),
+        ("M104 S200", "M104"),
+        ("A0", "axis A"),
+        ("E1", "word E"),
+        ("I1", "word I"),
+    ] {
+        check(
+            &format!("G21 G0 X1\n{word}\n{word}\nG1 G90 X2 Z0"),
+            &format!(
+                "1 rapid 1 0 0\n2 ! {subject}{}\n4 feed 2 0 0",
+                if word == "G43.1 Z0" {
+                    "\n2 rapid 1 0 0\n3 rapid 1 0 0"
+                } else {
+                    ""
+                }
+            ),
+        );
+    }
+    let message = Moves::new(&b"G42"[..]).next().unwrap().unwrap();
+    let Event::Warning(warning) = message else {
+        panic!("{message:?}")
+    };
+    assert!(
+        warning
+            .to_string()
+            .starts_with("line 1: G42 ignored: cutter compensation"),
+        "{warning}"
+    );
+}
+
+#[test]
+fn what_would_make_the_path_wrong_is_refused() {
+    for word in [
+        "G5", "G5.1", "G5.3", "G10", "G16", "G33", "G38.2", "G43.4", "G51", "G52", "G68", "G73",
+        "G76", "G81", "G82", "G83", "G85", "G89", "G7", "G12", "G29", "G34", "G65", "G91.2",
+        "G100", "G90.9", "M97", "M98",
+    ] {
+        check_refused(
+            &format!("G21\n  {word} X1 P1"),
+            "line 2, column 3:",
+            &format!("{word} is refused"),
+        );
+    }
+    for word in ["A1", "B-2", "C0.5", "U1", "V1", "W1"] {
+        check_refused(
+            &format!("G21\nG1 X1 {word}"),
+            "line 2, column 7:",
+            &format!("{word} is refused"),
+        );
+    }
+    check_refused("G21\nG53 G1 X1", "line 2,", "machine coordinates");
+}
+
+#[test]
+fn bad_lines_are_named_with_their_place() {
+    for (line, column, words) in [
+        ("G1 X", 4, "where a number was expected"),
+        ("G1 XY1", 4, "where a number was expected"),
+        ("G1 X--1", 4, "where a number was expected"),
+        ("G1 X#1", 4, "parameters and expressions"),
+        ("G1 X[1+2]", 4, "parameters and expressions"),
+        ("G", 1, "where a number was expected"),
+        ("G1 X.", 5, "no letter before it"),
+        ("G-1", 2, "where a number was expected"),
+        ("G1 X1 2", 7, "no letter before it"),
+        ("G1 X1.2.3", 8, "no letter before it"),
+        ("G1.25 X1", 2, "not the number of a code"),
+        ("G1. X1", 2, "not the number of a code"),
+        ("G4294967297 X1", 10, "digits"),
+        ("M429496730", 10, "digits"),
+        ("G1 X999999999", 13, "digits"),
+        ("G1 X1 \u{2014} Y2", 7, "no word of G-code"),
+        ("(\u{e4}) G1 $", 8, "no word of G-code"),
+        ("G1 X1 * 71", 7, "no word of G-code"),
+        ("G1 X1 (open", 7, "does not end"),
+        ("G1 G0 X1", 4, "G1 and G0 on one line both set the motion"),
+        ("G20 G21", 5, "both set the unit"),
+        ("G17 G18", 5, "both set the plane"),
+        ("G90 G91", 5, "both set the distance mode"),
+        ("G1 X1 X2", 7, "X stands twice"),
+        ("G1 X1 F-5", 7, "a feed of -5"),
+    ] {
+        check_refused(
+            &format!("G21\n{line}"),
+            &format!("line 2, column {column}:"),
+            words,
+        );
+    }
+    // The text of the line is there, but not all of a long one.
+    let error = run(&format!("G1 X {}", "Q".repeat(500))).unwrap_err();
+    assert!(error.contains("QQQ") && error.len() < 250, "{error}");
+    // A file that is no text at all.
+    assert!(run(&"\0".repeat(200_000)).is_err());
+    assert!(
+        run(&" ".repeat(200_000))
+            .unwrap_err()
+            .contains("without end")
+    );
+    // Nothing comes after an error.
+    let mut events = Moves::new(&b"G21\nG1 X1\n?\nG1 X2"[..]);
+    assert_eq!(events.by_ref().filter(Result::is_ok).count(), 1);
+    assert!(events.next().is_none());
+}
+
+#[test]
+fn nothing_that_is_typed_makes_the_reader_panic() {
+    let pieces = [
+        "G",
+        "g1",
+        "G2",
+        "G3",
+        "X",
+        "Y1",
+        "Z-2",
+        "I",
+        "J1",
+        "K-1",
+        "R2",
+        "R-2",
+        "R0",
+        ".",
+        "-",
+        "+",
+        "0",
+        "9",
+        "99999999",
+        "%",
+        "/",
+        "(",
+        ")",
+        ";",
+        "\n",
+        "\n",
+        " ",
+        "#",
+        "[",
+        "]",
+        "=",
+        "*",
+        "M30",
+        "M",
+        "T",
+        "T9",
+        "N",
+        "O",
+        "P2",
+        "F1",
+        "G18",
+        "G19",
+        "G91",
+        "G92",
+        "G20",
+        "E",
+        "\u{e4}",
+        "\u{1F600}",
+        "\0",
+        "G4",
+        "G53",
+        "G28",
+    ];
+    proptest!(|(picks in prop::collection::vec(0..pieces.len(), 0..40))| {
+        let program: String = picks.into_iter().map(|pick| pieces[pick]).collect();
+        for event in Moves::new(program.as_bytes()).flatten() {
+            if let Event::Move(next) = event {
+                prop_assert!(next.length.is_finite(), "{:?}", next);
+                prop_assert!(next.end.iter().all(|at| at.is_finite()));
+            }
+        }
+    });
+}
+
+/// A move of the program passes through the points given for 0, 1/4, 1/2, 3/4 and 1 of it.
+#[track_caller]
+fn check_arc(program: &str, length: f64, points: [[f64; 3]; 5]) {
+    let arc = last(program);
+    assert_eq!(arc.motion, Motion::Arc);
+    assert!(
+        (arc.length - length).abs() < 1e-9,
+        "{program}: length {} is not {length}",
+        arc.length
+    );
+    for (part, point) in [0.0, 0.25, 0.5, 0.75, 1.0].into_iter().zip(points) {
+        assert_near(arc.at(part), point);
+    }
+}
+
+#[test]
+fn arcs_pass_through_their_points() {
+    let r = SQRT_2 / 2.0;
+    // A quarter about the origin, both ways, in each plane: counterclockwise turns X to Y, Z to X and Y to Z.
+    check_arc("G0 X2\nG17 G3 X0 Y2 I-2 J0", PI, quarter([0, 1], 1.0));
+    check_arc("G0 X2\nG17 G2 X0 Y-2 I-2 J0", PI, quarter([0, 1], -1.0));
+    check_arc("G0 Z2\nG18 G3 X2 Z0 K-2", PI, quarter([2, 0], 1.0));
+    check_arc("G0 Z2\nG18 G2 X-2 Z0 K-2 I0", PI, quarter([2, 0], -1.0));
+    check_arc("G0 Y2\nG19 G3 Y0 Z2 J-2 K0", PI, quarter([1, 2], 1.0));
+    check_arc("G0 Y2\nG19 G2 Y0 Z-2 J-2", PI, quarter([1, 2], -1.0));
+    // By R: the shorter arc, and the longer one for a negative R.
+    check_arc("G0 X2\nG3 X0 Y2 R2", PI, quarter([0, 1], 1.0));
+    check_arc("G0 X2\nG2 X0 Y-2 R2", PI, quarter([0, 1], -1.0));
+    check_arc("G0 Z2\nG18 G3 X2 Z0 R2", PI, quarter([2, 0], 1.0));
+    let far = [0.375_f64, 0.75, 1.125]
+        .map(|turn| [2.0 * (turn * PI).cos(), 2.0 * (turn * PI).sin(), 0.0]);
+    check_arc(
+        "G0 X2\nG3 X0 Y-2 R-2",
+        3.0 * PI,
+        [[2.0, 0.0, 0.0], far[0], far[1], far[2], [0.0, -2.0, 0.0]],
+    );
+    // A half circle by R, and one whose R is a hair too small.
+    check_arc(
+        "G2 X2 R1",
+        PI,
+        [
+            [0.0; 3],
+            [1.0 - r, r, 0.0],
+            [1.0, 1.0, 0.0],
+            [1.0 + r, r, 0.0],
+            [2.0, 0.0, 0.0],
+        ],
+    );
+    check_arc(
+        "G2 X2 R0.999",
+        PI,
+        [
+            [0.0; 3],
+            [1.0 - r, r, 0.0],
+            [1.0, 1.0, 0.0],
+            [1.0 + r, r, 0.0],
+            [2.0, 0.0, 0.0],
+        ],
+    );
+    // A full circle, a helix, and a helix of three turns.
+    check_arc(
+        "G3 X0 Y0 I1",
+        TAU,
+        [
+            [0.0; 3],
+            [1.0, -1.0, 0.0],
+            [2.0, 0.0, 0.0],
+            [1.0, 1.0, 0.0],
+            [0.0; 3],
+        ],
+    );
+    check_arc(
+        "G2 I1",
+        TAU,
+        [
+            [0.0; 3],
+            [1.0, 1.0, 0.0],
+            [2.0, 0.0, 0.0],
+            [1.0, -1.0, 0.0],
+            [0.0; 3],
+        ],
+    );
+    check_arc(
+        "G2 I1 Z-4",
+        TAU.hypot(4.0),
+        [
+            [0.0; 3],
+            [1.0, 1.0, -1.0],
+            [2.0, 0.0, -2.0],
+            [1.0, -1.0, -3.0],
+            [0.0, 0.0, -4.0],
+        ],
+    );
+    check_arc(
+        "G2 I1 Z-4 P3",
+        (3.0 * TAU).hypot(4.0),
+        [
+            [0.0; 3],
+            [1.0, -1.0, -1.0],
+            [2.0, 0.0, -2.0],
+            [1.0, 1.0, -3.0],
+            [0.0, 0.0, -4.0],
+        ],
+    );
+    check_arc(
+        "G91 G20 G3 X-1 Y1 I-1",
+        12.7 * PI,
+        quarter([0, 1], 1.0).map(|p| [(p[0] / 2.0 - 1.0) * 25.4, p[1] / 2.0 * 25.4, 0.0]),
+    );
+}
+
+/// Points of a quarter turn of radius 2 about the origin, from the first axis towards the second (or away from it).
+fn quarter([first, second]: [usize; 2], sense: f64) -> [[f64; 3]; 5] {
+    [0.0, 0.125, 0.25, 0.375, 0.5].map(|turn: f64| {
+        let mut point = [0.0; 3];
+        point[first] = 2.0 * (turn * PI).cos();
+        point[second] = sense * 2.0 * (turn * PI).sin();
+        point
+    })
+}
+
+#[test]
+fn uneven_arcs_are_run_and_reported_and_impossible_ones_refused() {
+    // Within 0.02 mm nobody is told.
+    check_mm("G2 X2.01 I1", "1 arc 2.01 0 0");
+    check_mm(
+        "G2 X2.1 I1\nX4.2 I1",
+        "1 ! uneven arc\n1 arc 2.1 0 0\n2 ! uneven arc\n2 arc 4.2 0 0",
+    );
+    let spiral = last("G2 X2.1 I1");
+    assert_near(spiral.at(0.5), [1.0, 1.05, 0.0]);
+    assert_near(spiral.at(1.0), [2.1, 0.0, 0.0]);
+    // Against the closed form of the length of an Archimedean spiral.
+    let (a, b) = (0.1 / PI, 1.0);
+    let along = |r: f64| 0.5 * (r * r.hypot(a) / a + a * (r + r.hypot(a)).ln());
+    assert!((spiral.length - (along(b + 0.1) - along(b))).abs() < 1e-9);
+
+    check_refused(
+        "G21\nG2 X2 R0.9",
+        "line 2, column 1:",
+        "0.9000 mm is too small: start and end are 2.0000 mm apart, so it must be at least 1.0000",
+    );
+    check_refused(
+        "G21\n G2 X30 I10",
+        "line 2, column 2:",
+        "its start is 10.0000 mm and its end 20.0000 mm from its centre",
+    );
+    check_refused("G21\nG2 X0.1 I0.5", "line 2, column 1:", "no such arc");
+    check_refused(
+        "G21\nG2 X2",
+        "line 2, column 1:",
+        "no centre: I or R is missing",
+    );
+    check_refused(
+        "G21\nG18 G2 X2",
+        "line 2, column 1:",
+        "no centre: K or R is missing",
+    );
+    check_refused(
+        "G21\nG2 X0 Y0 R5",
+        "line 2, column 1:",
+        "full circle needs I, J or K",
+    );
+    check_refused("G21\nG2 X1 R0", "line 2, column 7:", "R of 0");
+    check_refused("G21\nG2 X1 R5 I1", "line 2, column 7:", "not both");
+    check_refused("G21\nG2 X1 I0 J0", "line 2, column 1:", "no radius");
+    check_refused("G21\nG2 I1 P0.5", "line 2, column 7:", "turns");
+}
+
+#[test]
+fn positions_are_a_step_apart_and_never_twice() {
+    let positions = |program: &str, step: f64| {
+        let mut sampler = Sampler::new(step);
+        moves(program)
+            .iter()
+            .flat_map(|next| sampler.positions(next))
+            .collect::<Vec<_>>()
+    };
+    let row = |xs: &[f64]| xs.iter().map(|&x| [x, 0.0, 0.0]).collect::<Vec<_>>();
+    assert_eq!(positions("G21 G1 X3", 1.0), row(&[0.0, 1.0, 2.0, 3.0]));
+    assert_eq!(positions("G21 G1 X3", 1.2), row(&[0.0, 1.0, 2.0, 3.0]));
+    assert_eq!(positions("G21 G1 X1\nX1\nX2", 5.0), row(&[0.0, 1.0, 2.0]));
+    assert_eq!(positions("G21 G1 X0\nX0", 5.0), row(&[0.0]));
+    assert_eq!(positions("", 5.0), row(&[]));
+    // Tenths: no part more for the rounding of a division.
+    assert_eq!(positions("G21 G1 X0.3", 0.1).len(), 4);
+    assert_eq!(positions("G21 G1 X10000", 0.1).len(), 100_001);
+    // A gap (a rapid left out) is not filled, and the move after it begins with its start.
+    let mut sampler = Sampler::new(10.0);
+    let path: Vec<_> = moves("G21 G1 X1\nG0 X5\nG1 X6")
+        .iter()
+        .filter(|next| next.motion != Motion::Rapid)
+        .flat_map(|next| sampler.positions(next))
+        .collect();
+    assert_eq!(path, row(&[0.0, 1.0, 5.0, 6.0]));
+}
+
+proptest! {
+    /// An arc made of a centre, a radius, two angles and a plane comes back from its words, by I, J, K as by R.
+    #[test]
+    fn arcs_survive_being_written_and_read(
+        plane in 0_usize..3, centre in prop::array::uniform3(-50.0..50.0_f64), radius in 0.5..40.0_f64, from in 0.0..TAU,
+        turned in 0.05..TAU - 0.05, counterclockwise: bool, rise in -5.0..5.0_f64, step in 0.05..2.0_f64,
+    ) {
+        let [first, second, normal] = [[0, 1, 2], [2, 0, 1], [1, 2, 0]][plane];
+        let sense = if counterclockwise { 1.0 } else { -1.0 };
+        let point = |part: f64| {
+            let mut point = centre;
+            point[first] += radius * (from + sense * turned * part).cos();
+            point[second] += radius * (from + sense * turned * part).sin();
+            point[normal] += rise * part;
+            point
+        };
+        let (start, end) = (point(0.0), point(1.0));
+        let offset = [0, 1, 2].map(|axis| centre[axis] - start[axis]);
+        let letters = [first, second].map(|axis| format!("{}{:.9}", ["I", "J", "K"][axis], offset[axis]));
+        let signed = if turned > PI { -radius } else { radius };
+        let ends = format!(
+            "{} G0 X{:.9} Y{:.9} Z{:.9}\n{} X{:.9} Y{:.9} Z{:.9}",
+            ["G17", "G18", "G19"][plane], start[0], start[1], start[2],
+            if counterclockwise { "G3" } else { "G2" }, end[0], end[1], end[2],
+        );
+        for centre_words in [format!("{} {}", letters[0], letters[1]), format!("R{signed:.9}")] {
+            let arc = last(&format!("{ends} {centre_words}"));
+            // R is badly conditioned near a half circle: there a billionth of a millimetre moves the centre a thousand times more.
+            let tolerance = if centre_words.starts_with('R') { 1e-3 } else { 1e-6 };
+            prop_assert!((arc.length - (radius * turned).hypot(rise)).abs() < tolerance);
+            let samples: Vec<_> = Sampler::new(step).positions(&arc).collect();
+            prop_assert_eq!(samples[0], arc.start);
+            prop_assert_eq!(*samples.last().unwrap(), arc.end);
+            let count = samples.len() - 1;
+            for (index, sample) in samples.iter().enumerate() {
+                let expected = point(f64::from(u32::try_from(index).unwrap()) / f64::from(u32::try_from(count).unwrap()));
+                for axis in 0..3 {
+                    prop_assert!((sample[axis] - expected[axis]).abs() < tolerance, "{:?} {:?}", sample, expected);
+                }
+            }
+            let chords: f64 = samples.windows(2).map(|pair| {
+                (0..3).map(|axis| (pair[1][axis] - pair[0][axis]).powi(2)).sum::<f64>().sqrt()
+            }).inspect(|chord| assert!(*chord <= step * (1.0 + 1e-9))).sum();
+            prop_assert!(chords <= arc.length + 1e-9 && chords > arc.length * 0.6);
+        }
+    }
+}
+
+/// The directory of real programs, if there is one.
+fn real(file: &str) -> Option<PathBuf> {
+    let directory = std::env::var_os("UNION3D_GCODE_DIR").map_or_else(
+        || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/data/gcode"),
+        PathBuf::from,
+    );
+    let path = directory.join(file);
+    path.exists().then_some(path)
+}
+
+/// Moves, millimetres of G1, G2 and G3, and warnings of a real program.
+fn survey(file: &str) -> Option<(usize, f64, Vec<String>)> {
+    let source = BufReader::new(std::fs::File::open(real(file)?).unwrap());
+    let (mut count, mut cutting, mut warnings) = (0, 0.0, vec![]);
+    for event in Moves::new(source) {
+        match event.unwrap() {
+            Event::Move(next) => {
+                count += 1;
+                cutting += if next.motion == Motion::Rapid {
+                    0.0
+                } else {
+                    next.length
+                };
+            }
+            Event::Warning(warning) => warnings.push(warning.to_string()),
+            Event::Dwell { .. } => {}
+        }
+    }
+    Some((count, cutting, warnings))
+}
+
+#[test]
+fn real_programs_are_read() {
+    if let Some((moves, cutting, warnings)) = survey("tball-pocket.gcode") {
+        assert_eq!((moves, warnings), (40_266, vec![]));
+        assert!((cutting - 8_925.0).abs() < 1.0, "{cutting}");
+    }
+    if let Some((moves, _, warnings)) = survey("jsdc.gcode") {
+        assert_eq!((moves, warnings), (2_382, vec![]));
+    }
+    if let Some((_, _, warnings)) = survey("Circle_Diamond_Square_Calibration.gcode") {
+        assert_eq!(warnings.len(), 5, "{warnings:?}");
+        assert!(
+            warnings
+                .iter()
+                .all(|warning| warning.contains("uneven arc"))
+        );
+        assert!(warnings[0].starts_with("line 624: "));
+    }
+    if let Some((moves, _, warnings)) = survey("helical-thread-milling.gcode") {
+        assert_eq!(moves, 12);
+        assert_eq!(warnings.len(), 1, "{warnings:?}");
+        assert!(warnings[0].starts_with("line 5: G42 ignored"));
+    }
+}
