@@ -95,7 +95,18 @@ pub(super) fn reopen(scene: &Scene) -> Result<Live, Halt> {
     log.probe()?;
     scene.set_permille(0);
     scene.set_condition(Condition::Recovering);
-    revive(scene, log)
+    let start = Instant::now();
+    let live = revive(scene, log)?;
+    let published = live.published();
+    meters::recovered(start.elapsed());
+    tracing::info!(
+        scene = scene.name().as_str(),
+        seq = published.seq.0,
+        cubes = published.totals.cubes,
+        milliseconds = start.elapsed().as_millis(),
+        "recovered"
+    );
+    Ok(live)
 }
 
 /// Limits of what the scene's log keeps.
@@ -108,7 +119,6 @@ pub(super) fn keep(scene: &Scene) -> Keep {
 
 /// Replays an open log.
 pub(super) fn revive(scene: &Scene, mut log: SceneLog) -> Result<Live, Halt> {
-    let start = Instant::now();
     if !scene.keep_header(log.header()) {
         let detail = "another scene's files were put here while it was stopped".to_owned();
         let path = scene.directory.clone();
@@ -126,14 +136,6 @@ pub(super) fn revive(scene: &Scene, mut log: SceneLog) -> Result<Live, Halt> {
     if published.seq == Seq(0) {
         published.at_ms = created_ms;
     }
-    meters::recovered(start.elapsed());
-    tracing::info!(
-        scene = scene.name().as_str(),
-        seq = published.seq.0,
-        cubes = published.totals.cubes,
-        milliseconds = start.elapsed().as_millis(),
-        "recovered"
-    );
     Ok(Live::new(
         log,
         rebuilt.engine,

@@ -192,6 +192,11 @@ impl Live {
         }
     }
 
+    /// Newest durable state.
+    pub(super) fn published(&self) -> &Published {
+        &self.published
+    }
+
     /// Lets callers in: readers are answered at once, changes as soon as the thread runs.
     pub(super) fn begin(&self, scene: &Scene) {
         scene.set_permille(1000);
