@@ -352,8 +352,14 @@ fn notices(
 ) -> Vec<String> {
     let mut notices = Vec::new();
     if let WriteAhead::Torn { frames, bytes } = write_ahead {
+        let missing = match acknowledged {
+            Some(mark) if mark.seq <= seq => {
+                ", and nothing that is known to have been acknowledged is missing"
+            }
+            _ => "",
+        };
         notices.push(format!(
-            "the end of SQLite's write-ahead file is no whole change and was cut off ({frames} frames, {bytes} bytes); the scene stands at seq {}",
+            "the end of SQLite's write-ahead file is no whole change and was cut off ({frames} frames, {bytes} bytes); the scene stands at seq {}{missing}",
             seq.0
         ));
     }
@@ -397,7 +403,7 @@ mod tests {
                 deleted: vec![],
                 // Ids without a pattern, so that they take room.
                 inserted: (0..cubes)
-                    .map(|id| (CubeId(id.wrapping_mul(0x9E37_79B9_7F4A_7C15)), place))
+                    .map(|id| (CubeId(crc32fast::hash(&id.to_le_bytes()).into()), place))
                     .collect(),
             },
             totals: Totals::default(),
