@@ -96,7 +96,7 @@ kinds! {
     KeyReused "idempotency-key-reused" 422 None, "The idempotency key came before with another body",
         "A key stands for one body. Use a new key for a new change.";
     QueueFull "queue-full" 429 Some(1), "Too many changes are waiting",
-        "Nothing of the change was applied. Send it again after the time in Retry-After.";
+        "So many changes wait for the scene, or so many large bodies for the server, that this one was not taken. Nothing of it was applied. Send it again after the time in Retry-After.";
     Internal "internal" 500 None, "The server failed",
         "A fault of the server, which its log describes. Whether a change was applied is shown by its seq; sending it again is safe when it names its ids or has an Idempotency-Key.";
     AuditDifference "audit-difference" 500 None, "The totals differ from a recount",
@@ -114,7 +114,7 @@ kinds! {
     StorageFailed "storage-failed" 503 Some(5), "The data directory does not take the scene's files",
         "`cause` says why.";
     DiskFull "disk-full" 507 Some(5), "The disk is full",
-        "Nothing of the change was applied. The scene comes back by itself when there is space again.";
+        "The scene comes back by itself when there is space again; its seq shows then whether the change was kept. Sending it again is safe when it names its ids or has an Idempotency-Key.";
 }
 
 impl Code {

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use axum::Json;
-use axum::body::{Body, Bytes};
+use axum::body::Body;
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderName, HeaderValue};
 use axum::response::{IntoResponse, Response};
@@ -11,7 +11,7 @@ use serde::Serialize;
 use sha2::{Digest, Sha256};
 use utoipa::ToSchema;
 
-use super::request::{self, BodyType, Parameters, Path, body_type, idempotency_key, within};
+use super::request::{self, BodyType, Parameters, Path, Whole, body_type, idempotency_key, within};
 use super::{App, ndjson, scenes};
 use crate::engine::{Counts, Op, Rejected};
 use crate::geometry::CubeId;
@@ -136,16 +136,17 @@ pub(super) async fn post_changes(
             ndjson::apply(&scene, &settings, body, app.limits.request_timeout).await?;
         return Ok(answer(&scene, &settings, wanted, &published, counts, None).into_response());
     }
-    let body = request::read(&headers, body, &app.limits).await?.into();
+    let body = request::read(&headers, body, &app.limits, &app.room).await?;
+    let time = app.limits.request_timeout;
     let change = Atomic {
-        app: app.clone(),
+        cubes_max: app.limits.change_cubes_max,
         scene,
         settings,
         kind,
         body,
         wanted,
     };
-    within(app.limits.request_timeout, change.apply(key)).await
+    within(time, Arc::new(change).apply(key)).await
 }
 
 /// Delete one cube
@@ -189,16 +190,16 @@ fn returned(minimal: bool) -> Return {
 
 /// An atomic change on its way.
 struct Atomic {
-    app: App,
+    cubes_max: usize,
     scene: Arc<Scene>,
     settings: Settings,
     kind: BodyType,
-    body: Bytes,
+    body: Whole,
     wanted: Return,
 }
 
 impl Atomic {
-    async fn apply(self, key: Option<Box<str>>) -> Result<Response, Problem> {
+    async fn apply(self: Arc<Self>, key: Option<Box<str>>) -> Result<Response, Problem> {
         let (decoded, key) = self
             .off_thread(move |this| {
                 let decoded = this.decode()?;
@@ -215,9 +216,8 @@ impl Atomic {
             Ok(applied) => Ok(self.answer(&applied)),
             Err(ServiceError::Rejected(rejected @ Rejected::IdConflict { .. })) => {
                 // Either the scene has the id elsewhere, or the change itself names two places. The engine cannot tell them apart.
-                let settings = self.settings.clone();
                 self.off_thread(Self::duplicates).await?;
-                Err(conflict(rejected, &settings, |index| {
+                Err(conflict(rejected, &self.settings, |index| {
                     self.pointer(index, deletions)
                 }))
             }
@@ -245,21 +245,21 @@ impl Atomic {
     }
 
     fn decode(&self) -> Result<Decoded, Problem> {
-        let cubes_max = self.app.limits.change_cubes_max;
-        if self.kind == BodyType::Protobuf {
-            decode::message(&self.body, &self.settings, cubes_max)
+        let read = if self.kind == BodyType::Protobuf {
+            decode::message
         } else {
-            decode::change(&self.body, &self.settings, cubes_max)
-        }
+            decode::change
+        };
+        read(&self.body.bytes, &self.settings, self.cubes_max)
     }
 
     /// An error when the body puts an id at two places.
     fn duplicates(&self) -> Result<(), Problem> {
-        let cubes_max = self.app.limits.change_cubes_max;
+        let body = &self.body.bytes;
         if self.kind == BodyType::Protobuf {
-            decode::message_duplicates(&self.body)
+            decode::message_duplicates(body)
         } else {
-            decode::change_faults(&self.body, &self.settings, cubes_max).map(|_| ())
+            decode::change_faults(body, &self.settings, self.cubes_max).map(|_| ())
         }
     }
 
@@ -268,7 +268,7 @@ impl Atomic {
         Sha256::new()
             .chain_update(self.kind.name())
             .chain_update([0])
-            .chain_update(&self.body)
+            .chain_update(&self.body.bytes)
             .finalize()
             .into()
     }
@@ -285,29 +285,16 @@ impl Atomic {
 
     /// Runs long work where it does not hold up other requests.
     async fn off_thread<T: Send + 'static>(
-        &self,
+        self: &Arc<Self>,
         work: impl FnOnce(&Self) -> Result<T, Problem> + Send + 'static,
     ) -> Result<T, Problem> {
-        if self.body.len() <= DECODED_INLINE_BYTES_MAX {
+        if self.body.bytes.len() <= DECODED_INLINE_BYTES_MAX {
             return work(self);
         }
-        let this = self.clone();
+        let this = Arc::clone(self);
         match tokio::task::spawn_blocking(move || work(&this)).await {
             Ok(done) => done,
             Err(error) => std::panic::resume_unwind(error.into_panic()),
-        }
-    }
-}
-
-impl Clone for Atomic {
-    fn clone(&self) -> Self {
-        Self {
-            app: self.app.clone(),
-            scene: Arc::clone(&self.scene),
-            settings: self.settings.clone(),
-            kind: self.kind,
-            body: self.body.clone(),
-            wanted: self.wanted,
         }
     }
 }

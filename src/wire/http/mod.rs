@@ -30,7 +30,7 @@ use tower_http::trace::TraceLayer;
 use utoipa_swagger_ui::SwaggerUi;
 
 pub use self::operate::install_metrics;
-use self::request::within;
+use self::request::{Room, within};
 use super::problem::{Code, Problem};
 use crate::service::Service;
 
@@ -63,6 +63,7 @@ impl Default for Limits {
 struct App {
     service: Service,
     limits: Limits,
+    room: Room,
     metrics: PrometheusHandle,
 }
 
@@ -122,6 +123,7 @@ pub fn router(service: Service, limits: Limits) -> Router {
     let app = App {
         service,
         limits,
+        room: Room::new(&limits),
         metrics: install_metrics(),
     };
     let add = |router: Router<App>, (path, methods): Route| router.route(path, methods);

@@ -2,14 +2,16 @@
 
 use std::borrow::Cow;
 use std::future::Future;
+use std::sync::Arc;
 use std::time::Duration;
 
-use axum::body::Body;
+use axum::body::{Body, Bytes};
 use axum::extract::rejection::PathRejection;
 use axum::extract::{FromRequestParts, Query};
 use axum::http::request::Parts;
 use axum::http::{HeaderMap, header};
 use futures_util::StreamExt;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use super::Limits;
 use crate::wire::problem::{Code, Fault, Faults, Problem};
@@ -195,27 +197,64 @@ pub(super) fn idempotency_key(headers: &HeaderMap) -> Result<Option<Box<str>>, P
     }
 }
 
+/// Bodies below this are read whenever they come, however many.
+const SMALL_BODY_BYTES_MAX: usize = 64 << 10;
+
+/// Largest bodies for which there is room at once.
+const LARGEST_BODIES_MAX: usize = 4;
+
+/// The memory that large bodies share, in KiB: without a bound a few dozen clients could take all there is.
+#[derive(Clone, Debug)]
+pub(super) struct Room(Arc<Semaphore>);
+
+impl Room {
+    pub(super) fn new(limits: &Limits) -> Self {
+        let largest = kibibytes(limits.body_bytes_max);
+        let all = usize::try_from(largest).unwrap_or(usize::MAX) * LARGEST_BODIES_MAX;
+        Self(Arc::new(Semaphore::new(all.min(Semaphore::MAX_PERMITS))))
+    }
+}
+
+fn kibibytes(bytes: usize) -> u32 {
+    u32::try_from(bytes.div_ceil(1 << 10)).unwrap_or(u32::MAX >> 3)
+}
+
+/// A body that was read whole, and the room that it takes as long as it is there.
+pub(super) struct Whole {
+    pub(super) bytes: Bytes,
+    _taken: Option<OwnedSemaphorePermit>,
+}
+
 /// Reads a body whole.
 pub(super) async fn read(
     headers: &HeaderMap,
     body: Body,
     limits: &Limits,
-) -> Result<Vec<u8>, Problem> {
+    room: &Room,
+) -> Result<Whole, Problem> {
     // What a client announces is believed only so far: memory follows what arrives.
     const RESERVED_BYTES_MAX: usize = 1 << 20;
     let too_large = || {
         let detail = format!("the body is larger than {} bytes", limits.body_bytes_max);
         Problem::new(Code::TooLarge, detail)
     };
-    let announced = headers
+    let announced: Option<usize> = headers
         .get(header::CONTENT_LENGTH)
-        .and_then(|length| length.to_str().ok()?.parse().ok())
-        .unwrap_or(0);
-    if announced > limits.body_bytes_max {
+        .and_then(|length| length.to_str().ok()?.parse().ok());
+    let most = announced.unwrap_or(limits.body_bytes_max);
+    if most > limits.body_bytes_max {
         return Err(too_large());
     }
+    let taken = if most > SMALL_BODY_BYTES_MAX {
+        let room = Arc::clone(&room.0).acquire_many_owned(kibibytes(most));
+        let waited = tokio::time::timeout(limits.request_timeout, room).await;
+        let full = |_| Problem::new(Code::QueueFull, "too many large bodies are being read");
+        waited.map_err(full)?.ok()
+    } else {
+        None
+    };
     let reading = async {
-        let mut read = Vec::with_capacity(announced.min(RESERVED_BYTES_MAX));
+        let mut read = Vec::with_capacity(most.min(RESERVED_BYTES_MAX));
         let mut body = body.into_data_stream();
         while let Some(piece) = body.next().await {
             let piece = piece.map_err(|error| broken(&error))?;
@@ -224,7 +263,10 @@ pub(super) async fn read(
             }
             read.extend_from_slice(&piece);
         }
-        Ok(read)
+        Ok(Whole {
+            bytes: read.into(),
+            _taken: taken,
+        })
     };
     match tokio::time::timeout(limits.request_timeout, reading).await {
         Ok(read) => read,

@@ -10,12 +10,15 @@ use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::App;
 use super::request::{self, BodyType, Parameters, Path, body_type};
+use super::{App, Limits};
 use crate::service::{Scene, SceneName, SceneState};
 use crate::wire::convert::{Settings, SettingsDocument};
 use crate::wire::decode;
 use crate::wire::problem::{Code, Fault, Problem};
+
+/// Largest body that settings can fill sensibly.
+const SETTINGS_BYTES_MAX: usize = 64 << 10;
 
 /// A scene.
 #[derive(Serialize, ToSchema)]
@@ -128,7 +131,12 @@ pub(super) async fn put_scene(
     let name = SceneName::new(&name)
         .map_err(|detail| Problem::from(Fault::in_parameter("scene", detail, &name)))?;
     body_type(&headers, &[BodyType::Json])?;
-    let settings = decode::settings(&request::read(&headers, body, &app.limits).await?)?;
+    let limits = Limits {
+        body_bytes_max: app.limits.body_bytes_max.min(SETTINGS_BYTES_MAX),
+        ..app.limits
+    };
+    let body = request::read(&headers, body, &limits, &app.room).await?;
+    let settings = decode::settings(&body.bytes)?;
     let (scene, new) = app
         .service
         .create(&name, settings.edge(), &settings.text())
