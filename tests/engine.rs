@@ -166,7 +166,7 @@ fn crowded_histories_agree_with_a_recount() {
                     inserted: vec![],
                 })
                 .unwrap();
-            if left.len() % 50 == 0 {
+            if left.len().is_multiple_of(50) {
                 let rest = left.iter().map(|id| places[*id as usize]);
                 assert_eq!(
                     engine.totals(),
@@ -206,16 +206,14 @@ fn many_cubes_in_a_small_world_agree_with_voxels() {
             voxels::totals(edge, &places),
             "seed {seed}"
         );
-        for id in 0..40 {
-            let deleted = vec![(CubeId(id as u64), places[id])];
-            engine
-                .apply(&Effect {
-                    deleted,
-                    inserted: vec![],
-                })
-                .unwrap();
+        for (id, place) in places.drain(..40).enumerate() {
+            let deleted = vec![(CubeId(id as u64), place)];
+            let effect = Effect {
+                deleted,
+                inserted: vec![],
+            };
+            engine.apply(&effect).unwrap();
         }
-        places.drain(..40);
         assert_eq!(
             engine.totals(),
             voxels::totals(edge, &places),

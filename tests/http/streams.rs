@@ -85,7 +85,7 @@ async fn lines_act_in_their_order() {
         &insert(1, 5),
         &insert(1, 5),
         "{\"delete\":2}\n",
-        &insert(3, 7).trim_end().to_owned(),
+        insert(3, 7).trim_end(),
     ]
     .concat();
     let answer = server.lines(&scene, &text).await.ok();
