@@ -291,7 +291,7 @@ impl Kernel {
 
     #[inline(always)]
     fn leaf_inlined<T: Ring>(&mut self, first: usize, points: Span, sums: &mut Sums<T>) {
-        let mut planes = [Planes::default(); 3];
+        let mut planes = [Planes::NONE; 3];
         for axis in 0..3 {
             let planes = &mut planes[axis];
             let within = points.min[axis]..=points.max[axis];
@@ -318,20 +318,16 @@ impl Kernel {
         let mut newly = [Layer::default(); CELLS_MAX];
         let cells_z = planes[2].count + 1;
         for clip in &self.clips[first..] {
-            let bits: [u32; 3] = std::array::from_fn(|axis| {
-                planes[axis].cells(clip.min[axis], clip.max[axis], points.max[axis])
-            });
-            let pattern = Layer::product(bits[0], bits[1]);
-            for (z, layer) in before.iter_mut().enumerate().take(cells_z) {
-                if bits[2] >> z & 1 == 1 {
-                    *layer = layer.or(pattern);
-                }
+            let cells = Planes::cells_of(&planes, clip, &points);
+            let pattern = Layer::product(cells[0], cells[1]);
+            let mut layers = cells[2];
+            while layers != 0 {
+                let z = layers.trailing_zeros() as usize;
+                layers &= layers - 1;
+                before[z] = before[z].or(pattern);
             }
         }
-        let own = self.own_cells(points);
-        let own: [u32; 3] = std::array::from_fn(|axis| {
-            planes[axis].cells(own.min[axis], own.max[axis], points.max[axis])
-        });
+        let own = Planes::cells_of(&planes, &self.own_cells(points), &points);
         let pattern = Layer::product(own[0], own[1]);
         let mut any = Layer::default();
         for z in 0..cells_z {
@@ -349,7 +345,9 @@ impl Kernel {
         if !vertices_possible {
             return;
         }
-        let within = Layer::product((1 << planes[0].count) - 1, (1 << planes[1].count) - 1);
+        let points_of =
+            |axis: usize| low_bits(u32::try_from(planes[axis].count).expect("at most fifteen"));
+        let within = Layer::product(points_of(0), points_of(1));
         for z in 0..planes[2].count {
             let near = newly[z].or(newly[z + 1]);
             if near.is_empty() {
@@ -365,15 +363,8 @@ impl Kernel {
                 if row == 0 {
                     continue;
                 }
-                let [before, after] = [0, 1].map(|time| {
-                    let corners = [
-                        lower[time].row(y),
-                        lower[time].row(y + 1),
-                        upper[time].row(y),
-                        upper[time].row(y + 1),
-                    ];
-                    corners.map(u32::from)
-                });
+                let before = rows_around(&lower[0], &upper[0], y);
+                let after = rows_around(&lower[1], &upper[1], y);
                 let mut line = Line::<T>::default();
                 while row != 0 {
                     let x = row.trailing_zeros();
@@ -495,108 +486,154 @@ impl Span {
 }
 
 /// The distinct planes across one axis, in order. Cell `i` lies below plane `i`; the last cell above all of them.
-#[derive(Clone, Copy, Default)]
+#[derive(Clone, Copy)]
 struct Planes {
-    at: [i32; PLANES_MAX],
+    /// Beyond `count` planes that are above everything, so that a rank needs no count.
+    at: [i32; CELLS_MAX],
     count: usize,
 }
 
 impl Planes {
+    const NONE: Self = Self {
+        at: [i32::MAX; CELLS_MAX],
+        count: 0,
+    };
+
     #[inline(always)]
     fn insert(&mut self, plane: i32) {
-        let mut index = self.count;
-        while index > 0 && self.at[index - 1] > plane {
-            index -= 1;
-        }
-        if index > 0 && self.at[index - 1] == plane {
+        let rank = self.rank(plane) as usize;
+        if rank > 0 && self.at[rank - 1] == plane {
             return;
         }
         assert!(self.count < PLANES_MAX, "a leaf has few planes");
-        self.at.copy_within(index..self.count, index + 1);
-        self.at[index] = plane;
+        for index in (rank..self.count).rev() {
+            self.at[index + 1] = self.at[index];
+        }
+        self.at[rank] = plane;
         self.count += 1;
     }
 
-    /// Bits of the cells from `min` to `max`, each a plane or beyond the points; `last` is the last point.
+    /// How many planes lie at or below a coordinate.
     #[inline(always)]
-    fn cells(&self, min: i32, max: i32, last: i32) -> u32 {
-        let rank = |coordinate: i32| {
-            self.at[..self.count]
-                .iter()
-                .filter(|plane| **plane <= coordinate)
-                .count()
-        };
-        let end = if max > last {
-            self.count + 1
-        } else {
-            rank(max)
-        };
-        (1 << end) - (1 << rank(min).min(end))
+    fn rank(&self, coordinate: i32) -> u32 {
+        let mut rank = 0;
+        for plane in self.at {
+            rank += u32::from(plane <= coordinate);
+        }
+        rank
+    }
+
+    /// The cells, by axis, of a box whose ends are planes or lie beyond the points.
+    #[inline(always)]
+    fn cells_of(planes: &[Self; 3], span: &Span, points: &Span) -> [u16; 3] {
+        let mut cells = [0; 3];
+        for (axis, planes) in planes.iter().enumerate() {
+            // Beyond the points there is one cell more.
+            let beyond = u32::from(span.max[axis] > points.max[axis]);
+            let (first, end) = (
+                planes.rank(span.min[axis]),
+                planes.rank(span.max[axis]) + beyond,
+            );
+            // Of sixteen bits, those from `first` to `end`; a shift by sixteen leaves none of them.
+            cells[axis] = low_bits(end) & !low_bits(first);
+        }
+        cells
     }
 }
 
-/// One layer of cells: row y is bits 16 y to 16 y + 15 of 256, a bit for each cell along x.
-#[derive(Clone, Copy, Default)]
-struct Layer([u64; 4]);
+/// As many of the lowest bits as asked for, at most sixteen.
+#[inline(always)]
+fn low_bits(count: u32) -> u16 {
+    debug_assert!(count <= u16::BITS, "a row has sixteen cells");
+    !u16::MAX.checked_shl(count).unwrap_or(0)
+}
 
-const EVERY_ROW: u64 = 0x0001_0001_0001_0001;
-const ALL_BUT_LAST: u64 = 0x7fff * EVERY_ROW;
+/// The rows around the points of row `y` between two layers: (y, z) below and above.
+#[inline(always)]
+fn rows_around(lower: &Layer, upper: &Layer, y: usize) -> [u32; 4] {
+    [
+        lower.0[y].into(),
+        lower.0[y + 1].into(),
+        upper.0[y].into(),
+        upper.0[y + 1].into(),
+    ]
+}
+
+/// One layer of cells: a row of bits along x for each y, together one register of 256 bits.
+///
+/// The operations are loops over sixteen lanes, which the compiler turns into vector instructions.
+#[derive(Clone, Copy, Default)]
+struct Layer([u16; CELLS_MAX]);
+
+/// The bit of each row in a set of rows.
+const ROW_BITS: [u16; CELLS_MAX] = {
+    let mut bits = [1; CELLS_MAX];
+    let mut y = 1;
+    while y < CELLS_MAX {
+        bits[y] = bits[y - 1] << 1;
+        y += 1;
+    }
+    bits
+};
 
 impl Layer {
     /// Cells whose x is in one set of bits and whose y is in another.
     #[inline(always)]
-    fn product(x: u32, y: u32) -> Self {
-        let row = u64::from(x) * EVERY_ROW;
-        Self(std::array::from_fn(|word| {
-            let four = u64::from(y) >> (4 * word) & 0b1111;
-            // Spread four bits to the lowest bit of each row, then fill the rows.
-            let lowest = (four | four << 15 | four << 30 | four << 45) & EVERY_ROW;
-            row & (lowest * 0xffff)
-        }))
+    fn product(x: u16, y: u16) -> Self {
+        Self(ROW_BITS).zip(Self::default(), |bit, _| if y & bit == 0 { 0 } else { x })
+    }
+
+    #[inline(always)]
+    fn zip(self, other: Self, operation: impl Fn(u16, u16) -> u16) -> Self {
+        let mut result = Self::default();
+        for y in 0..CELLS_MAX {
+            result.0[y] = operation(self.0[y], other.0[y]);
+        }
+        result
     }
 
     #[inline(always)]
     fn row(self, y: usize) -> u16 {
-        // The mask makes the narrowing exact.
-        u16::try_from(self.0[y / 4] >> (16 * (y % 4)) & 0xffff).expect("sixteen bits were kept")
+        self.0[y]
     }
 
     #[inline(always)]
     fn or(self, other: Self) -> Self {
-        Self(std::array::from_fn(|word| self.0[word] | other.0[word]))
+        self.zip(other, |one, two| one | two)
     }
 
     #[inline(always)]
     fn and(self, other: Self) -> Self {
-        Self(std::array::from_fn(|word| self.0[word] & other.0[word]))
+        self.zip(other, |one, two| one & two)
     }
 
     #[inline(always)]
     fn xor(self, other: Self) -> Self {
-        Self(std::array::from_fn(|word| self.0[word] ^ other.0[word]))
+        self.zip(other, |one, two| one ^ two)
     }
 
     #[inline(always)]
     fn and_not(self, other: Self) -> Self {
-        Self(std::array::from_fn(|word| self.0[word] & !other.0[word]))
+        self.zip(other, |one, two| one & !two)
     }
 
     #[inline(always)]
     fn is_empty(self) -> bool {
-        self.0 == [0; 4]
+        self.0.iter().fold(0, |all, row| all | row) == 0
     }
 
     /// The neighbour above along x, for every cell.
     #[inline(always)]
     fn next_x(self) -> Self {
-        Self(self.0.map(|word| word >> 1 & ALL_BUT_LAST))
+        self.zip(self, |row, _| row >> 1)
     }
 
     /// The neighbour above along y, for every cell.
     #[inline(always)]
     fn next_y(self) -> Self {
-        let above = |word: usize| self.0.get(word + 1).map_or(0, |next| next << 48);
-        Self(std::array::from_fn(|word| self.0[word] >> 16 | above(word)))
+        let mut above = Self::default();
+        above.0[..CELLS_MAX - 1].copy_from_slice(&self.0[1..]);
+        above
     }
 
     /// Bit (x, y) of the result is the point above cell (x, y): set when any of the four cells around it is.
@@ -667,8 +704,9 @@ impl Ring for I256 {
 }
 
 /// The table of weights as the kernel reads it: lanes of one vector.
-/// Order: volume, area y, area z, edge x (3), area x, edge y (3), edge z (3), euler, vertices (4).
-type Lanes = [i16; 18];
+/// Order: volume, area y, area z, edge x (3), area x, edge y (3), edge z (3), euler, vertices (4); filled up with zeros
+/// to whole registers.
+type Lanes = [i16; 32];
 /// The first lanes are multiplied by x.
 const LANES_X: usize = 6;
 const AREA_X: usize = 6;
@@ -676,13 +714,14 @@ const EDGE_Y: usize = 7;
 const EDGE_Z: usize = 10;
 const EULER: usize = 13;
 const VERTICES: usize = 14;
+const COUNTS_END: usize = 18;
 
 static KERNEL_WEIGHTS: [Lanes; 256] = {
-    let mut table = [[0; 18]; 256];
+    let mut table = [[0; 32]; 256];
     let mut mask = 0;
     while mask < 256 {
         let weights = &WEIGHTS[mask];
-        let mut lanes = [0; 18];
+        let mut lanes = [0; 32];
         lanes[0] = weights.volume as i16;
         lanes[1] = weights.area[1] as i16;
         lanes[2] = weights.area[2] as i16;
@@ -720,9 +759,10 @@ impl<T: Ring> Line<T> {
     #[inline(always)]
     fn add(&mut self, x: i32, before: usize, after: usize) {
         let (before, after) = (&KERNEL_WEIGHTS[before], &KERNEL_WEIGHTS[after]);
-        let lanes: Lanes = std::array::from_fn(|lane| after[lane] - before[lane]);
-        for (sum, lane) in self.plain.iter_mut().zip(lanes) {
-            *sum += lane;
+        let mut lanes = [0; 32];
+        for lane in 0..32 {
+            lanes[lane] = after[lane] - before[lane];
+            self.plain[lane] += lanes[lane];
         }
         let x = T::of(x);
         for (sum, lane) in self.times_x.iter_mut().zip(lanes) {
@@ -774,7 +814,7 @@ impl<T: Ring> Sums<T> {
             add(&mut self.edge[1][kind], plain(EDGE_Y + kind).times(y));
             add(&mut self.edge[2][kind], plain(EDGE_Z + kind).times(z));
         }
-        for (sum, lane) in self.counts.iter_mut().zip(&line.plain[EULER..]) {
+        for (sum, lane) in self.counts.iter_mut().zip(&line.plain[EULER..COUNTS_END]) {
             *sum += i64::from(*lane);
         }
     }
