@@ -268,6 +268,11 @@ impl Grid {
         Some(bounds)
     }
 
+    /// The lower corners of all cubes.
+    pub(super) fn corners(&self) -> impl Iterator<Item = [i32; 3]> + '_ {
+        self.bins.values().flat_map(Bin::corners)
+    }
+
     /// Bytes of bins and blocks, without the allocator's own.
     pub(super) fn size(&self) -> usize {
         let blocks: usize = self.bins.values().map(|bin| bin.blocks.capacity()).sum();
@@ -461,7 +466,7 @@ fn decrement(counts: &mut BTreeMap<i32, u32>, key: i32) {
 
 /// Which bin: the coordinates of its cubes, shifted.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-struct BinKey([i32; 3]);
+pub(super) struct BinKey(pub(super) [i32; 3]);
 
 impl Hash for BinKey {
     fn hash<H: Hasher>(&self, hasher: &mut H) {
@@ -473,7 +478,7 @@ impl Hash for BinKey {
 
 /// Mixes the three coordinates of a bin. No secret: who could choose colliding bins could as well choose crowded ones.
 #[derive(Default)]
-struct BinHasher(u64);
+pub(super) struct BinHasher(u64);
 
 impl Hasher for BinHasher {
     fn finish(&self) -> u64 {

@@ -7,6 +7,7 @@
 //!   judge(ops) ──> Effect ──> apply ──┬─ ids      cubes by id
 //!                                     ├─ visible  grid of the cubes whose union is the union
 //!                                     ├─ hidden   grid of the cubes that the visible ones cover: never gathered
+//!                                     ├─ certificates   cells inside the union, while many cubes are hidden
 //!                                     └─ totals   += or -= marginal(cube | its visible neighbours)
 //! ```
 //!
@@ -14,6 +15,7 @@
 //! are those of [`recount`].
 
 mod audit;
+mod certificates;
 mod grid;
 mod ids;
 mod marginal;
@@ -24,6 +26,7 @@ use std::ops::ControlFlow;
 use crate::geometry::{CUBES_MAX, CubeId, Edge, Effect, Measures, Place, Totals};
 
 pub use audit::recount;
+use certificates::Certificates;
 use grid::Grid;
 use ids::IdTable;
 use marginal::{Kernel, Span};
@@ -117,6 +120,7 @@ pub struct Engine {
     visible: Grid,
     hidden: Grid,
     kernel: Kernel,
+    certificates: Certificates,
     measures: Measures,
     totals: Totals,
     work: Work,
@@ -137,33 +141,48 @@ impl Engine {
             Grid::for_neighbours(edge),
             Grid::for_small_boxes(edge),
             Kernel::new(edge),
+            Certificates::new(edge),
         )
     }
 
     /// An empty scene whose bins stay `2^bin_shift` steps wide: the same totals, in another time and space.
     pub fn with_bins(edge: Edge, bin_shift: u32) -> Self {
         let bins = || Grid::with_bins(edge, bin_shift);
-        Self::build(edge, bins(), bins(), Kernel::new(edge))
+        Self::build(
+            edge,
+            bins(),
+            bins(),
+            Kernel::new(edge),
+            Certificates::new(edge),
+        )
     }
 
-    /// An empty scene that computes without special instructions and in the widest integers, whatever the processor and
-    /// the edge: the same totals, slower.
+    /// An empty scene that computes without special instructions, in the widest integers and without certificates,
+    /// whatever the processor and the edge: the same totals, slower.
     pub fn plain(edge: Edge) -> Self {
         Self::build(
             edge,
             Grid::for_neighbours(edge),
             Grid::for_small_boxes(edge),
             Kernel::plain(edge),
+            Certificates::never(edge),
         )
     }
 
-    fn build(edge: Edge, visible: Grid, hidden: Grid, kernel: Kernel) -> Self {
+    fn build(
+        edge: Edge,
+        visible: Grid,
+        hidden: Grid,
+        kernel: Kernel,
+        certificates: Certificates,
+    ) -> Self {
         Self {
             edge,
             ids: IdTable::new(),
             visible,
             hidden,
             kernel,
+            certificates,
             measures: Measures::default(),
             totals: Totals::default(),
             work: Work::default(),
@@ -194,7 +213,7 @@ impl Engine {
     pub fn size(&self) -> EngineSize {
         EngineSize {
             ids: self.ids.size(),
-            grid: self.visible.size() + self.hidden.size(),
+            grid: self.visible.size() + self.hidden.size() + self.certificates.size(),
         }
     }
 
@@ -340,13 +359,23 @@ impl Engine {
     }
 
     fn insert(&mut self, id: CubeId, place: Place) {
-        match self.marginal(place) {
-            Some(difference) => {
-                self.measures.add(&difference);
-                self.visible.insert(place, id);
-            }
+        let difference = if self.certificates.covers(place) {
+            None
+        } else {
+            self.marginal(place)
+        };
+        match difference {
+            Some(difference) => self.show(id, place, &difference),
             None => self.hidden.insert(place, id),
         }
+        self.certificates.review(&self.visible, &self.hidden);
+    }
+
+    /// Makes a cube visible that adds `difference` to the union.
+    fn show(&mut self, id: CubeId, place: Place, difference: &Measures) {
+        self.measures.add(difference);
+        self.visible.insert(place, id);
+        self.certificates.certify(place);
     }
 
     fn delete(&mut self, id: CubeId, place: Place) {
@@ -370,7 +399,11 @@ impl Engine {
             return;
         };
         self.measures.retract(&difference);
+        for bare in &self.work.uncovered {
+            self.certificates.revoke(bare);
+        }
         self.promote(place);
+        self.certificates.review(&self.visible, &self.hidden);
     }
 
     /// Makes hidden cubes visible until they cover again what the deleted cube at `place` left bare, as far as they can.
@@ -435,9 +468,8 @@ impl Engine {
     /// Makes a hidden cube visible, unless the visible cubes cover it.
     fn promote_one(&mut self, id: CubeId, place: Place) {
         if let Some(difference) = self.marginal(place) {
-            self.measures.add(&difference);
             assert!(self.hidden.remove(place, id), "a candidate is hidden");
-            self.visible.insert(place, id);
+            self.show(id, place, &difference);
         }
     }
 
