@@ -180,6 +180,42 @@ fn crowded_histories_agree_with_a_recount() {
     }
 }
 
+/// Crowds in which most cubes are hidden come and go for long: certificates are set, withdrawn, given up and begun again.
+/// The twin keeps none.
+#[test]
+fn churning_crowds_agree_with_a_plain_engine() {
+    for seed in 0..30 {
+        let mut random = Random::new(4_000_000 + seed);
+        let edge = Edge::new(random.within(8, 40)).unwrap();
+        let reach = i64::from(edge.steps()) * random.within(1, 3);
+        let (mut fast, mut plain) = (Engine::new(edge), Engine::plain(edge));
+        let mut present: Vec<(CubeId, Place)> = Vec::new();
+        for change in 0..1500 {
+            // Fill, churn, drain, churn.
+            let target = [300, 200, 5, 60][change / 375];
+            let mut effect = Effect::default();
+            if random.below(2 * target) < present.len() as u64 {
+                let index = random.below(present.len() as u64) as usize;
+                effect.deleted.push(present.swap_remove(index));
+            } else {
+                let corner = [0; 3].map(|_: i32| random.within(-reach, reach));
+                let cube = (CubeId(change as u64), Place::new(corner, edge).unwrap());
+                effect.inserted.push(cube);
+                present.push(cube);
+            }
+            fast.apply(&effect).unwrap();
+            plain.apply(&effect).unwrap();
+            assert_eq!(
+                fast.totals(),
+                plain.totals(),
+                "seed {seed}, change {change}: {effect:?}"
+            );
+        }
+        let rest = present.iter().map(|(_, place)| *place);
+        assert_eq!(fast.totals(), recount(edge, rest), "seed {seed}");
+    }
+}
+
 /// Small voxel worlds with so many cubes that leaves are reached by division, not only at once.
 #[test]
 fn many_cubes_in_a_small_world_agree_with_voxels() {
