@@ -24,7 +24,7 @@ const SIDE: i32 = 8;
 
 /// Rows of cells by (z, y), a bit for each x.
 type Block = [u8; 64];
-const _: () = assert!(size_of::<Block>() as i64 == (SIDE * SIDE) as i64 && SIDE as u32 == u8::BITS);
+const _: () = assert!(SIDE.cast_unsigned() == u8::BITS && size_of::<Block>() == 8 * 8);
 
 /// The certified cells.
 #[derive(Debug)]
