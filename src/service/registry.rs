@@ -10,6 +10,7 @@ use std::fs::{self, File, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use dashmap::DashMap;
 use parking_lot::{Condvar, Mutex, RwLock};
@@ -364,6 +365,10 @@ fn spawn(scene: &Arc<Scene>, live: Option<Live>) -> io::Result<()> {
     Ok(())
 }
 
+/// How long a start waits for another service to let go of the data directory, and how often it looks.
+const LOCK_PATIENCE: Duration = Duration::from_secs(2);
+const LOCK_PAUSE: Duration = Duration::from_millis(20);
+
 /// Opens and locks `DATA/lock`: as long as the file is open, no other service uses the directory.
 pub(super) fn lock_data(data: &Path) -> Result<File, StartError> {
     let lock = File::options()
@@ -371,7 +376,17 @@ pub(super) fn lock_data(data: &Path) -> Result<File, StartError> {
         .append(true)
         .open(data.join("lock"))
         .map_err(|error| unusable(data, &error))?;
-    match lock.try_lock() {
+    // A server that was killed a moment ago may not have let go yet: whoever restarts it at once is not refused.
+    let deadline = Instant::now() + LOCK_PATIENCE;
+    let locked = loop {
+        match lock.try_lock() {
+            Err(TryLockError::WouldBlock) if Instant::now() < deadline => {
+                std::thread::sleep(LOCK_PAUSE);
+            }
+            locked => break locked,
+        }
+    };
+    match locked {
         Ok(()) => Ok(lock),
         Err(TryLockError::WouldBlock) => Err(StartError(format!(
             "the data directory {} is in use by another union3d; stop that one, or name another directory with --data",
