@@ -1,4 +1,4 @@
-//! The description of the API: `OpenAPI` 3.1, made from the handlers themselves.
+//! The description of the API: OpenAPI 3.1, made from the handlers themselves.
 //!
 //! What each call may fail with is one table here, joined with the table of problems: status, document and an example each.
 

@@ -145,7 +145,7 @@ fn count_scenes(app: &App) {
     metrics::gauge!("union3d_cubes").set(cubes);
 }
 
-/// This description, `OpenAPI` 3.1
+/// This description, OpenAPI 3.1
 #[utoipa::path(get, path = "/openapi.json", tag = "operation",
     responses((status = 200, description = "The description", body = Object)))]
 pub(super) async fn get_openapi() -> Response {
