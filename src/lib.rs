@@ -35,9 +35,13 @@
 //! - Damage to a file is refused with its place, and never gives a wrong total: [`log`], `tests/log.rs`.
 
 pub mod config;
+#[deny(clippy::float_arithmetic)]
 pub mod engine;
+#[deny(clippy::float_arithmetic)]
 pub mod geometry;
+#[deny(clippy::float_arithmetic)]
 pub mod log;
+#[deny(clippy::float_arithmetic)]
 pub mod service;
 pub mod toolpath;
 pub mod wire;

@@ -155,5 +155,7 @@ const _: () = assert!(2 + 2 * COORDINATE_BITS + 93 < 255);
 const _: () = assert!((6 * CUBES_MAX as u128).ilog2() + 1 + 2 * EDGE_MAX.ilog2() <= 83);
 // edge length of one direction <= every lattice line of the box
 const _: () = assert!(3 * SIDE_BITS < 127);
-// vertices: the union of n congruent cubes has O(n) of them; a single cube's closed box changes fewer than 2^30 distinct ones
+// vertices: the union of n congruent axis-parallel cubes in space has O(n) of them (Boissonnat, Sharir, Tagansky, Yvinec,
+// "Voronoi diagrams in higher dimensions under certain polyhedral distance functions", 1998); 2^30 for each cube is far
+// beyond the constant
 const _: () = assert!(CUBES_MAX.ilog2() + 30 < 63);
