@@ -667,41 +667,23 @@ pub(super) trait Ring: Copy + Default + PartialEq {
     fn times(self, other: Self) -> Self;
 }
 
-impl Ring for i64 {
-    fn of(value: i32) -> Self {
-        value.into()
-    }
-    fn plus(self, other: Self) -> Self {
-        self.wrapping_add(other)
-    }
-    fn times(self, other: Self) -> Self {
-        self.wrapping_mul(other)
-    }
+macro_rules! ring {
+    ($($integer:ty),*) => {$(
+        impl Ring for $integer {
+            fn of(value: i32) -> Self {
+                value.into()
+            }
+            fn plus(self, other: Self) -> Self {
+                self.wrapping_add(other)
+            }
+            fn times(self, other: Self) -> Self {
+                self.wrapping_mul(other)
+            }
+        }
+    )*};
 }
 
-impl Ring for i128 {
-    fn of(value: i32) -> Self {
-        value.into()
-    }
-    fn plus(self, other: Self) -> Self {
-        self.wrapping_add(other)
-    }
-    fn times(self, other: Self) -> Self {
-        self.wrapping_mul(other)
-    }
-}
-
-impl Ring for I256 {
-    fn of(value: i32) -> Self {
-        value.into()
-    }
-    fn plus(self, other: Self) -> Self {
-        self.wrapping_add(other)
-    }
-    fn times(self, other: Self) -> Self {
-        self.wrapping_mul(other)
-    }
-}
+ring!(i64, i128, I256);
 
 /// The table of weights as the kernel reads it: lanes of one vector.
 /// Order: volume, area y, area z, edge x (3), area x, edge y (3), edge z (3), euler, vertices (4); filled up with zeros
