@@ -200,8 +200,9 @@ impl Live {
     /// Lets callers in: readers are answered at once, changes as soon as the thread runs.
     pub(super) fn begin(&self, scene: &Scene) {
         scene.set_permille(1000);
-        scene.set_condition(Condition::Running(self.feed.clone()));
+        // The inbox first: who sees the scene running may ask it at once. Nothing is taken from it before this returns.
         scene.inbox.open();
+        scene.set_condition(Condition::Running(self.feed.clone()));
         scene.set_started();
     }
 
