@@ -29,7 +29,7 @@ fn check(cubes: &str, [volume, area, total, convex, concave, crossing, euler]: [
     let edge = Edge::new(1).unwrap();
     let places = places(edge, cubes);
     for totals in [
-        recount(edge, places.iter().copied()),
+        recount(edge, None, places.iter().copied()),
         voxels::totals(edge, &places),
     ] {
         let Measures { volume: v, .. } = totals.measures;
@@ -81,7 +81,7 @@ fn one_cube_of_any_edge() {
     for steps in [1, 2, 7, 6208, 6209, 32_768, 1 << 24] {
         let edge = Edge::new(steps).unwrap();
         let length = i128::from(steps);
-        let totals = recount(edge, places(edge, "-3 0 5").into_iter());
+        let totals = recount(edge, None, places(edge, "-3 0 5").into_iter());
         assert_eq!(totals.measures.volume, length.pow(3));
         assert_eq!(totals.measures.area_by_axis, [2 * length.pow(2); 3]);
         assert_eq!(totals.measures.edge_length, [[4 * length, 0, 0]; 3]);
@@ -105,7 +105,7 @@ fn all_256_neighbourhoods() {
             .collect();
         let expected = voxels::totals(edge, &cubes);
         assert_eq!(
-            recount(edge, cubes.iter().copied()),
+            recount(edge, None, cubes.iter().copied()),
             expected,
             "mask {mask:#010b}"
         );

@@ -164,7 +164,7 @@ impl Model {
     }
 
     fn totals(&self) -> Totals {
-        recount(edge(), self.cubes.values().copied())
+        recount(edge(), None, self.cubes.values().copied())
     }
 }
 

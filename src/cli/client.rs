@@ -171,6 +171,7 @@ impl Client {
             x: column(0),
             y: column(1),
             z: column(2),
+            ..Change::default()
         };
         let request = self
             .http

@@ -1,6 +1,6 @@
 //! The recount: totals from the cubes alone, to be compared with the ones kept.
 
-use crate::geometry::{CubeId, Edge, Effect, Place, Totals};
+use crate::geometry::{CubeId, Edge, Effect, Place, Stock, Totals};
 
 use super::Engine;
 
@@ -8,8 +8,8 @@ use super::Engine;
 ///
 /// Nothing is hidden from it that the online engine may have hidden: cubes come in another order, without deletions, and
 /// so through other neighbourhoods. It shares the kernel, whose own twin are the voxels of the tests.
-pub fn recount(edge: Edge, cubes: impl Iterator<Item = Place>) -> Totals {
-    let mut engine = Engine::new(edge);
+pub fn recount(edge: Edge, stock: Option<Stock>, cubes: impl Iterator<Item = Place>) -> Totals {
+    let mut engine = Engine::new(edge).with_stock(stock);
     let inserted = cubes
         .zip(0..)
         .map(|(place, id)| (CubeId(id), place))

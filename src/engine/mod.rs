@@ -23,7 +23,7 @@ mod marginal;
 use std::collections::HashMap;
 use std::ops::ControlFlow;
 
-use crate::geometry::{CUBES_MAX, CubeId, Edge, Effect, Measures, Place, Totals};
+use crate::geometry::{CUBES_MAX, CubeId, Edge, Effect, Measures, Place, Stock, Totals};
 
 pub use audit::recount;
 use certificates::Certificates;
@@ -116,6 +116,7 @@ pub struct Cursor(pub u64);
 #[derive(Debug)]
 pub struct Engine {
     edge: Edge,
+    stock: Option<Stock>,
     ids: IdTable,
     visible: Grid,
     hidden: Grid,
@@ -178,6 +179,7 @@ impl Engine {
     ) -> Self {
         Self {
             edge,
+            stock: None,
             ids: IdTable::new(),
             visible,
             hidden,
@@ -187,6 +189,20 @@ impl Engine {
             totals: Totals::default(),
             work: Work::default(),
         }
+    }
+
+    /// The same, cut from a stock: for an engine that has no cubes yet.
+    #[must_use]
+    pub fn with_stock(mut self, stock: Option<Stock>) -> Self {
+        assert!(self.is_empty(), "a stock is there before the first cube");
+        self.stock = stock;
+        self.totals = Totals::of_nothing(stock);
+        self
+    }
+
+    /// The stock, if there is one.
+    pub fn stock(&self) -> Option<Stock> {
+        self.stock
     }
 
     /// The edge of every cube.
@@ -309,6 +325,7 @@ impl Engine {
             cubes: self.len(),
             measures: self.measures,
             bounds: self.visible.bounds(),
+            stock: self.totals.stock,
         };
         Ok(())
     }

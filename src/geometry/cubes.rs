@@ -1,6 +1,6 @@
 //! Sets of cubes: the difference between two of them, and the totals of one.
 
-use super::lattice::{Bounds, CubeId, Place};
+use super::lattice::{Bounds, CubeId, Place, Stock};
 use super::measures::Measures;
 
 /// The difference between two sets of cubes: an id that is at the same place in both is in neither list.
@@ -22,4 +22,28 @@ pub struct Totals {
     pub measures: Measures,
     /// The box around them; none when there are none.
     pub bounds: Option<Bounds>,
+    /// What the cubes do to the scene's stock; none when the scene has none.
+    pub stock: Option<StockMeasures>,
+}
+
+/// A stock from which the union of the cubes is cut. Both parts are regularised; their volumes add up to the stock's.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct StockMeasures {
+    /// The union inside the stock.
+    pub removed: Measures,
+    /// The stock outside the union.
+    pub remaining: Measures,
+}
+
+impl Totals {
+    /// The totals of a scene without cubes.
+    pub fn of_nothing(stock: Option<Stock>) -> Self {
+        Self {
+            stock: stock.map(|stock| StockMeasures {
+                removed: Measures::default(),
+                remaining: Measures::of_box(stock.bounds()),
+            }),
+            ..Self::default()
+        }
+    }
 }

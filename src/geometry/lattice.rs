@@ -101,3 +101,57 @@ pub struct Bounds {
     /// Greatest corner.
     pub max: [i32; 3],
 }
+
+/// A block of material that the cubes are cut from: an axis-aligned closed box with a volume. Units: steps.
+///
+/// Its corners lie within [`COORDINATE_MAX`] of the origin on every axis.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct Stock(Bounds);
+
+/// Why a box is not a [`Stock`].
+#[derive(Clone, Copy, PartialEq, Eq, Debug, thiserror::Error)]
+pub enum InvalidStock {
+    /// A corner lies too far out.
+    #[error("{} = {coordinate} steps is outside -{COORDINATE_MAX} to {COORDINATE_MAX}", ["x", "y", "z"][*axis])]
+    OutOfRange {
+        /// The axis at fault: 0 for x, 1 for y, 2 for z.
+        axis: usize,
+        /// The coordinate that was offered.
+        coordinate: i64,
+    },
+    /// The box has no extent along an axis.
+    #[error("the greatest {} is not above the least", ["x", "y", "z"][*axis])]
+    Flat {
+        /// The axis at fault: 0 for x, 1 for y, 2 for z.
+        axis: usize,
+    },
+}
+
+impl Stock {
+    /// The box between two corners.
+    /// # Errors
+    /// [`InvalidStock`] names the first axis at fault.
+    pub fn new(min: [i64; 3], max: [i64; 3]) -> Result<Self, InvalidStock> {
+        let corner = |from: [i64; 3]| -> Result<[i32; 3], InvalidStock> {
+            let mut corner = [0; 3];
+            for axis in 0..3 {
+                let coordinate = from[axis];
+                corner[axis] = i32::try_from(coordinate)
+                    .ok()
+                    .filter(|inside| inside.abs_diff(0) <= COORDINATE_MAX.cast_unsigned())
+                    .ok_or(InvalidStock::OutOfRange { axis, coordinate })?;
+            }
+            Ok(corner)
+        };
+        let (min, max) = (corner(min)?, corner(max)?);
+        match (0..3).find(|&axis| min[axis] >= max[axis]) {
+            Some(axis) => Err(InvalidStock::Flat { axis }),
+            None => Ok(Self(Bounds { min, max })),
+        }
+    }
+
+    /// The box.
+    pub const fn bounds(&self) -> Bounds {
+        self.0
+    }
+}

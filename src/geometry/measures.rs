@@ -2,7 +2,9 @@
 
 use ethnum::I256;
 
-use super::lattice::{COORDINATE_MAX, CUBES_MAX, EDGE_MAX};
+use super::lattice::{Bounds, COORDINATE_MAX, CUBES_MAX, EDGE_MAX};
+use super::octants::OctantMask;
+use super::weights::WEIGHTS;
 
 /// How the union looks along an edge, by the four octants around it.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -100,6 +102,47 @@ impl Measures {
         self.euler8 = narrow(self.euler8, other.euler8);
         for kind in 0..4 {
             self.vertices[kind] = narrow(self.vertices[kind], other.vertices[kind]);
+        }
+    }
+
+    /// The measures of one box: of its eight corners.
+    pub fn of_box(bounds: Bounds) -> Self {
+        let mut sums = Self::default();
+        for corner in 0..8 {
+            let high = [0, 1, 2].map(|axis| corner >> axis & 1 == 1);
+            let [x, y, z] = [0, 1, 2].map(|axis| {
+                i128::from(if high[axis] {
+                    bounds.max[axis]
+                } else {
+                    bounds.min[axis]
+                })
+            });
+            // At its lower end along an axis the box fills the octants above, at its upper end those below.
+            let filled = 7 - corner;
+            sums.add_point(OctantMask(1 << filled), [x, y, z]);
+        }
+        sums
+    }
+
+    /// Adds what one lattice point contributes. The slow way: the engine's kernel does it for many points at once.
+    fn add_point(&mut self, mask: OctantMask, at: [i128; 3]) {
+        let weights = &WEIGHTS[usize::from(mask.0)];
+        let volume = i128::from(weights.volume) * at[0] * at[1] * at[2];
+        self.volume += volume;
+        for axis in 0..3 {
+            let (next, last) = ((axis + 1) % 3, (axis + 2) % 3);
+            let wide = |number: i128| I256::from(number);
+            self.first_moments2[axis] += volume * at[axis];
+            self.second_moments3[axis] += wide(volume * at[axis]) * wide(at[axis]);
+            self.product_moments4[axis] += wide(volume * at[axis]) * wide(at[next]);
+            self.area_by_axis[axis] += i128::from(weights.area[axis]) * at[next] * at[last];
+            for kind in 0..3 {
+                self.edge_length[axis][kind] += i128::from(weights.edge[axis][kind]) * at[axis];
+            }
+        }
+        self.euler8 += i64::from(weights.euler8);
+        if let Some(kind) = weights.vertex {
+            self.vertices[kind as usize] += 1;
         }
     }
 

@@ -13,9 +13,10 @@ mod measures;
 mod octants;
 mod weights;
 
-pub use cubes::{Effect, Totals};
+pub use cubes::{Effect, StockMeasures, Totals};
 pub use lattice::{
-    Bounds, COORDINATE_MAX, CUBES_MAX, CubeId, EDGE_MAX, Edge, InvalidCube, InvalidEdge, Place,
+    Bounds, COORDINATE_MAX, CUBES_MAX, CubeId, EDGE_MAX, Edge, InvalidCube, InvalidEdge,
+    InvalidStock, Place, Stock,
 };
 pub use measures::{EdgeKind, Measures, VertexKind};
 pub use octants::OctantMask;

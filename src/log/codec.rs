@@ -343,6 +343,7 @@ pub(super) fn take_totals(reader: &mut Reader<'_>) -> Result<Totals, Malformed> 
         cubes,
         measures,
         bounds,
+        stock: None,
     })
 }
 

@@ -102,7 +102,7 @@ impl Offline {
             audit: Audit {
                 seq: published.seq,
                 kept: published.totals,
-                recounted: recount(rebuilt.engine.edge(), places),
+                recounted: recount(rebuilt.engine.edge(), rebuilt.engine.stock(), places),
             },
             records,
             notices,

@@ -268,14 +268,15 @@ impl Scene {
 
     /// Recounts everything from the cubes alone, on another thread, and compares.
     pub async fn audit(&self) -> Result<Audit, ServiceError> {
-        let (seq, kept, places) = self
+        let (seq, kept, stock, places) = self
             .ask(|view| {
                 let places: Vec<Place> = view.engine.cubes().map(|(_, place)| place).collect();
-                (view.published.seq, view.published.totals, places)
+                let Published { seq, totals, .. } = *view.published;
+                (seq, totals, view.engine.stock(), places)
             })
             .await?;
         let edge = self.edge();
-        let recounted = blocking(move || recount(edge, places.into_iter())).await?;
+        let recounted = blocking(move || recount(edge, stock, places.into_iter())).await?;
         if recounted != kept {
             tracing::error!(
                 scene = self.name.as_str(),

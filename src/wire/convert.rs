@@ -659,7 +659,12 @@ mod tests {
         let places = corners
             .iter()
             .map(|corner| Place::new(*corner, settings.edge()).unwrap());
-        mass_properties(None, None, &recount(settings.edge(), places), settings)
+        mass_properties(
+            None,
+            None,
+            &recount(settings.edge(), None, places),
+            settings,
+        )
     }
 
     #[track_caller]

@@ -1046,6 +1046,7 @@ mod tests {
             x: vec![0, 1],
             y: vec![0, 1],
             z: vec![0, 1],
+            ..proto::Change::default()
         };
         assert_eq!(read(&message), "ok");
         message.x[1] = i32::MAX;

@@ -222,6 +222,7 @@ async fn a_protobuf_message_is_a_change() {
         x: vec![0, -2],
         y: vec![0, 0],
         z: vec![0, 0],
+        ..proto::Change::default()
     };
     let answer = check(&post(&message).await, [1, 2, 0, 1]);
     assert_eq!(answer["mass_properties"]["exact"]["volume"], "16");

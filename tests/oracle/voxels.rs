@@ -20,6 +20,7 @@ pub(crate) fn totals(edge: Edge, places: &[Place]) -> Totals {
         cubes: places.len() as u64,
         measures,
         bounds,
+        stock: None,
     }
 }
 
