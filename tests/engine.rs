@@ -9,27 +9,29 @@ use std::collections::BTreeMap;
 
 use random::Random;
 use union3d::engine::{Cursor, Engine, Inconsistent, Op, Rejected, Side, recount};
-use union3d::geometry::{CubeId, Edge, EdgeKind, Effect, Place, Totals};
+use union3d::geometry::{CubeId, Edge, EdgeKind, Effect, Place, Stock, Totals};
 
 /// An engine, and the plain map it must agree with.
 struct Twins {
     edge: Edge,
+    stock: Option<Stock>,
     engines: Vec<Engine>,
     map: BTreeMap<CubeId, Place>,
 }
 
 impl Twins {
     /// One engine with bins of its own choice, one with fixed bins, one without special instructions and with wide sums.
-    fn new(edge: i64, bin_shift: u32) -> Self {
+    fn new(edge: i64, stock: Option<Stock>, bin_shift: u32) -> Self {
         let edge = Edge::new(edge).unwrap();
-        let engines = vec![
+        let engines = [
             Engine::new(edge),
             Engine::with_bins(edge, bin_shift),
             Engine::plain(edge),
         ];
         Self {
             edge,
-            engines,
+            stock,
+            engines: engines.map(|engine| engine.with_stock(stock)).into(),
             map: BTreeMap::new(),
         }
     }
@@ -53,11 +55,18 @@ impl Twins {
 
     #[track_caller]
     fn check(&self, context: impl Fn() -> String) {
-        let expected = voxels::totals(self.edge, &self.places());
+        let expected = voxels::totals(self.edge, self.stock, &self.places());
         for (number, engine) in self.engines.iter().enumerate() {
             assert_eq!(engine.totals(), expected, "engine {number}: {}", context());
         }
     }
+}
+
+/// A box whose faces cut cubes of a world of that reach, and are often flush with theirs.
+fn random_stock(random: &mut Random, reach: i64) -> Stock {
+    let min = [0; 3].map(|_: i64| random.within(-reach, reach));
+    let max = min.map(|low| low + random.within(1, reach + 4));
+    Stock::new(min, max).unwrap()
 }
 
 /// 1,500 histories; every measure after every change.
@@ -67,7 +76,8 @@ fn random_histories_agree_with_voxels_after_every_change() {
         let mut random = Random::new(seed);
         let edge = random.within(1, 5);
         let world = edge + random.within(0, 6);
-        let mut twins = Twins::new(edge, random.within(0, 4) as u32);
+        let stock = (seed % 2 == 0).then(|| random_stock(&mut random, world / 2));
+        let mut twins = Twins::new(edge, stock, random.within(0, 4) as u32);
         for change in 0..random.within(8, 24) {
             let mut ops = Vec::new();
             for _ in 0..random.within(1, 3) {
@@ -86,7 +96,9 @@ fn random_histories_agree_with_voxels_after_every_change() {
             }
             twins.apply(&ops);
             twins.check(|| {
-                format!("seed {seed}, change {change}, edge {edge}, world {world}: {ops:?}")
+                format!(
+                    "seed {seed}, change {change}, edge {edge}, stock {stock:?}, world {world}: {ops:?}"
+                )
             });
         }
         let everything: Vec<Op> = twins.map.keys().map(|id| Op::Delete(*id)).collect();
@@ -94,7 +106,7 @@ fn random_histories_agree_with_voxels_after_every_change() {
         for engine in &twins.engines {
             assert_eq!(
                 engine.totals(),
-                Totals::default(),
+                Totals::of_nothing(stock),
                 "seed {seed}: deleting everything leaves nothing"
             );
         }
@@ -108,7 +120,8 @@ fn dense_histories_agree_with_voxels() {
         let mut random = Random::new(1_000_000 + seed);
         let edge = random.within(4, 9);
         let world = random.within(3, 9);
-        let mut twins = Twins::new(edge, 3);
+        let stock = (seed % 2 == 0).then(|| random_stock(&mut random, world));
+        let mut twins = Twins::new(edge, stock, 3);
         for change in 0..120u64 {
             let delete =
                 twins.map.len() as u64 > 40 || (!twins.map.is_empty() && random.below(3) == 0);
@@ -135,7 +148,24 @@ fn crowded_histories_agree_with_a_recount() {
         let reach = i64::from(edge.steps()) / random.within(1, 4) + 1;
         // Flat worlds make massive coplanarity.
         let flat = random.below(4) as usize;
-        let mut engine = Engine::new(edge);
+        // Faces of the stock go through the crowd, or lie around it.
+        let stock = random_stock(&mut random, reach * random.within(1, 3));
+        let volume = Totals::of_nothing(Some(stock))
+            .stock
+            .unwrap()
+            .remaining
+            .volume;
+        let stock = (seed % 2 == 0).then_some(stock);
+        let parts_add_up = |engine: &Engine| {
+            if let Some(parts) = engine.totals().stock {
+                assert_eq!(
+                    parts.removed.volume + parts.remaining.volume,
+                    volume,
+                    "seed {seed}"
+                );
+            }
+        };
+        let mut engine = Engine::new(edge).with_stock(stock);
         let mut places = Vec::new();
         for id in 0..300 {
             let mut corner = [0; 3].map(|_: i32| random.within(-reach, reach));
@@ -150,10 +180,11 @@ fn crowded_histories_agree_with_a_recount() {
                     inserted: vec![(CubeId(id), place)],
                 })
                 .unwrap();
+            parts_add_up(&engine);
         }
         assert_eq!(
             engine.totals(),
-            recount(edge, None, places.iter().rev().copied()),
+            recount(edge, stock, places.iter().rev().copied()),
             "seed {seed}"
         );
         let mut left: Vec<u64> = (0..300).collect();
@@ -166,17 +197,18 @@ fn crowded_histories_agree_with_a_recount() {
                     inserted: vec![],
                 })
                 .unwrap();
+            parts_add_up(&engine);
             if left.len().is_multiple_of(50) {
                 let rest = left.iter().map(|id| places[*id as usize]);
                 assert_eq!(
                     engine.totals(),
-                    recount(edge, None, rest),
+                    recount(edge, stock, rest),
                     "seed {seed}, {} left",
                     left.len()
                 );
             }
         }
-        assert_eq!(engine.totals(), Totals::default(), "seed {seed}");
+        assert_eq!(engine.totals(), Totals::of_nothing(stock), "seed {seed}");
     }
 }
 
@@ -188,7 +220,9 @@ fn churning_crowds_agree_with_a_plain_engine() {
         let mut random = Random::new(4_000_000 + seed);
         let edge = Edge::new(random.within(8, 40)).unwrap();
         let reach = i64::from(edge.steps()) * random.within(1, 3);
-        let (mut fast, mut plain) = (Engine::new(edge), Engine::plain(edge));
+        let stock = (seed % 2 == 0).then(|| random_stock(&mut random, reach));
+        let mut fast = Engine::new(edge).with_stock(stock);
+        let mut plain = Engine::plain(edge).with_stock(stock);
         let mut present: Vec<(CubeId, Place)> = Vec::new();
         for change in 0..1500 {
             // Fill, churn, drain, churn.
@@ -212,7 +246,7 @@ fn churning_crowds_agree_with_a_plain_engine() {
             );
         }
         let rest = present.iter().map(|(_, place)| *place);
-        assert_eq!(fast.totals(), recount(edge, None, rest), "seed {seed}");
+        assert_eq!(fast.totals(), recount(edge, stock, rest), "seed {seed}");
     }
 }
 
@@ -239,7 +273,7 @@ fn many_cubes_in_a_small_world_agree_with_voxels() {
         }
         assert_eq!(
             engine.totals(),
-            voxels::totals(edge, &places),
+            voxels::totals(edge, None, &places),
             "seed {seed}"
         );
         for (id, place) in places.drain(..40).enumerate() {
@@ -252,7 +286,7 @@ fn many_cubes_in_a_small_world_agree_with_voxels() {
         }
         assert_eq!(
             engine.totals(),
-            voxels::totals(edge, &places),
+            voxels::totals(edge, None, &places),
             "seed {seed}, after deletions"
         );
     }
@@ -265,7 +299,7 @@ fn the_order_of_cubes_is_irrelevant() {
     let mut places: Vec<Place> = (0..200)
         .map(|_| Place::new([0; 3].map(|_: i32| random.within(0, 20)), edge).unwrap())
         .collect();
-    let expected = voxels::totals(edge, &places);
+    let expected = voxels::totals(edge, None, &places);
     for _ in 0..20 {
         for index in (1..places.len()).rev() {
             places.swap(index, random.below(index as u64 + 1) as usize);

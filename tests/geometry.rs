@@ -30,7 +30,7 @@ fn check(cubes: &str, [volume, area, total, convex, concave, crossing, euler]: [
     let places = places(edge, cubes);
     for totals in [
         recount(edge, None, places.iter().copied()),
-        voxels::totals(edge, &places),
+        voxels::totals(edge, None, &places),
     ] {
         let Measures { volume: v, .. } = totals.measures;
         let measures = totals.measures;
@@ -103,7 +103,7 @@ fn all_256_neighbourhoods() {
                 Place::new([0, 1, 2].map(|axis| i64::from(bit >> axis & 1) - 1), edge).unwrap()
             })
             .collect();
-        let expected = voxels::totals(edge, &cubes);
+        let expected = voxels::totals(edge, None, &cubes);
         assert_eq!(
             recount(edge, None, cubes.iter().copied()),
             expected,

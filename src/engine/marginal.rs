@@ -25,7 +25,14 @@
 
 use ethnum::I256;
 
-use crate::geometry::{Edge, Measures, Place, WEIGHTS};
+use crate::geometry::{Bounds, Edge, Measures, Place, Stock, StockMeasures, WEIGHTS};
+
+/// What one cube adds: to the union, and to the two parts of the stock if there is one.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) struct Difference {
+    pub(super) union: Measures,
+    pub(super) stock: Option<StockMeasures>,
+}
 
 /// A box of lattice points, both ends included; or of space, as a closed box. Local steps.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -51,6 +58,12 @@ const _: () = assert!(5 * crate::geometry::EDGE_MAX.ilog2() < 127);
 #[derive(Debug)]
 pub(super) struct Kernel {
     edge: i32,
+    stock: Option<Bounds>,
+    /// The box that is looked at: the cube, or what of it lies inside the stock. Its own cells are the ones that may be
+    /// newly covered.
+    own: Span,
+    /// The cells that hold material, cut to the frame of `own`: all of them where no face of the stock is near.
+    material: Span,
     wide: bool,
     /// Whether the processor has what `leaf_avx2` was compiled for.
     avx2: bool,
@@ -64,8 +77,12 @@ pub(super) struct Kernel {
 impl Kernel {
     pub(super) fn new(edge: Edge) -> Self {
         let edge = edge.steps();
+        let nowhere = Span::cube([0; 3], edge);
         Self {
             edge,
+            stock: None,
+            own: nowhere,
+            material: nowhere,
             wide: edge > NARROW_EDGE_MAX,
             avx2: avx2(),
             clips: Vec::new(),
@@ -83,9 +100,14 @@ impl Kernel {
         }
     }
 
+    /// The stock that cubes are cut from.
+    pub(super) fn set_stock(&mut self, stock: Option<Stock>) {
+        self.stock = stock.map(|stock| stock.bounds());
+    }
+
     /// F(S + c) - F(S) for the cube at `place`, where S is given by the offsets of those of its cubes that touch c.
     /// None when c changes nothing: it is covered.
-    pub(super) fn marginal(&mut self, place: Place, offsets: &[[i32; 3]]) -> Option<Measures> {
+    pub(super) fn marginal(&mut self, place: Place, offsets: &[[i32; 3]]) -> Option<Difference> {
         self.collect = false;
         self.difference(place, offsets)
     }
@@ -96,7 +118,7 @@ impl Kernel {
         place: Place,
         offsets: &[[i32; 3]],
         boxes: &mut Vec<Span>,
-    ) -> Option<Measures> {
+    ) -> Option<Difference> {
         self.collect = true;
         let difference = self.difference(place, offsets);
         let corner = place.corner();
@@ -105,44 +127,81 @@ impl Kernel {
         difference
     }
 
-    fn difference(&mut self, place: Place, offsets: &[[i32; 3]]) -> Option<Measures> {
-        self.clips.clear();
+    fn difference(&mut self, place: Place, offsets: &[[i32; 3]]) -> Option<Difference> {
         self.uncovered.clear();
-        if !self.clip(offsets) {
+        if offsets.contains(&[0; 3]) {
             return None;
         }
-        let points = Span {
-            min: [0; 3],
-            max: [self.edge; 3],
+        let cube = Span::cube([0; 3], self.edge);
+        let frame = cube.grown();
+        let Some(stock) = self.stock else {
+            let [union] = self.sums(place, offsets, cube, frame)?;
+            return Some(Difference { union, stock: None });
         };
         let corner = place.corner();
-        if self.wide {
-            let mut sums = Sums::<i128>::default();
-            self.divide(0, points, &mut sums);
-            (sums.volume != 0).then(|| sums.translated::<I256>(corner))
-        } else {
-            let mut sums = Sums::<i64>::default();
-            self.divide(0, points, &mut sums);
-            (sums.volume != 0).then(|| sums.translated::<i128>(corner))
+        // Saturated far away: only what is near the cube matters.
+        let local = |from: [i32; 3]| [0, 1, 2].map(|axis| from[axis].saturating_sub(corner[axis]));
+        let stock = Span {
+            min: local(stock.min),
+            max: local(stock.max),
+        };
+        if stock.contains(&frame) {
+            // No face of the stock is near: what comes to the union comes to what is removed.
+            let [union, remaining] = self.sums(place, offsets, cube, frame)?;
+            let removed = union;
+            let stock = Some(StockMeasures { removed, remaining });
+            return Some(Difference { union, stock });
         }
+        let [union] = self.sums(place, offsets, cube, frame)?;
+        self.collect = false;
+        let inside = cube.clamped(&stock);
+        let parts = if inside.is_solid() {
+            let material = inside.grown().clamped(&stock);
+            self.sums(place, offsets, inside, material)
+        } else {
+            None
+        };
+        let [removed, remaining] = parts.unwrap_or_default();
+        let stock = Some(StockMeasures { removed, remaining });
+        Some(Difference { union, stock })
     }
 
-    /// Clips the neighbours to the frame; false when one of them is at the very same place.
-    fn clip(&mut self, offsets: &[[i32; 3]]) -> bool {
-        for offset in offsets {
-            if *offset == [0; 3] {
-                return false;
-            }
-            self.clips.push(Span {
-                min: offset.map(|low| low.max(-1)),
-                max: offset.map(|low| (low + self.edge).min(self.edge + 1)),
-            });
+    /// What the box `own` of the cube at `place` adds to the measures of the union inside `material` and, when two are
+    /// asked for, of the material outside the union. None when nothing of it is newly covered.
+    fn sums<const PARTS: usize>(
+        &mut self,
+        place: Place,
+        offsets: &[[i32; 3]],
+        own: Span,
+        material: Span,
+    ) -> Option<[Measures; PARTS]> {
+        (self.own, self.material) = (own, material);
+        self.clips.clear();
+        let within = own.grown().clamped(&material);
+        let clips = offsets
+            .iter()
+            .map(|offset| Span::cube(*offset, self.edge).clamped(&within))
+            .filter(|clip| clip.is_solid() && clip.reaches(&own));
+        self.clips.extend(clips);
+        let corner = place.corner();
+        if self.wide {
+            let mut sums = std::array::from_fn(|_| Sums::<i128>::default());
+            self.divide(0, own, &mut sums);
+            (sums[0].volume != 0).then(|| sums.map(|sums| sums.translated::<I256>(corner)))
+        } else {
+            let mut sums = std::array::from_fn(|_| Sums::<i64>::default());
+            self.divide(0, own, &mut sums);
+            (sums[0].volume != 0).then(|| sums.map(|sums| sums.translated::<i128>(corner)))
         }
-        true
     }
 
     /// Adds the difference at `points` for the clips from `first` on, all of which reach a cell next to the points.
-    fn divide<T: Ring>(&mut self, first: usize, points: Span, sums: &mut Sums<T>) {
+    fn divide<T: Ring, const PARTS: usize>(
+        &mut self,
+        first: usize,
+        points: Span,
+        sums: &mut [Sums<T>; PARTS],
+    ) {
         if self.clips.len() - first <= LEAF_CLIPS {
             return self.leaf(first, points, sums);
         }
@@ -167,7 +226,12 @@ impl Kernel {
     }
 
     /// Goes on with a part of the points and the clips that reach it, unless one of them covers all that `c` has there.
-    fn descend<T: Ring>(&mut self, first: usize, points: Span, sums: &mut Sums<T>) {
+    fn descend<T: Ring, const PARTS: usize>(
+        &mut self,
+        first: usize,
+        points: Span,
+        sums: &mut [Sums<T>; PARTS],
+    ) {
         let end = self.clips.len();
         let cells = points.grown();
         let own = self.own_cells(points);
@@ -189,11 +253,7 @@ impl Kernel {
     /// The cells of `c` next to the points.
     #[inline(always)]
     fn own_cells(&self, points: Span) -> Span {
-        Span {
-            min: [0; 3],
-            max: [self.edge; 3],
-        }
-        .clamped(&points.grown())
+        self.own.clamped(&points.grown())
     }
 
     /// The points around which a clip already fills all of `c`, for the clip that has most of them.
@@ -203,14 +263,15 @@ impl Kernel {
             let mut core = points;
             let mut count: u128 = 1;
             for axis in 0..3 {
-                // On the cube's own face the octants beyond it do not change, so a clip that ends there counts too.
-                let low = if clip.min[axis] <= 0 {
-                    0
+                // On the box's own face the octants beyond it do not change, so a clip that ends there counts too.
+                let own = [self.own.min[axis], self.own.max[axis]];
+                let low = if clip.min[axis] <= own[0] {
+                    own[0]
                 } else {
                     clip.min[axis] + 1
                 };
-                let high = if clip.max[axis] >= self.edge {
-                    self.edge
+                let high = if clip.max[axis] >= own[1] {
+                    own[1]
                 } else {
                     clip.max[axis] - 1
                 };
@@ -227,7 +288,12 @@ impl Kernel {
 
     /// No clip has a core (the points are thin): drop clips within others, then halve the points at the median plane.
     #[cold]
-    fn divide_thin<T: Ring>(&mut self, first: usize, points: Span, sums: &mut Sums<T>) {
+    fn divide_thin<T: Ring, const PARTS: usize>(
+        &mut self,
+        first: usize,
+        points: Span,
+        sums: &mut [Sums<T>; PARTS],
+    ) {
         let mut kept = first;
         for index in first..self.clips.len() {
             let clip = self.clips[index];
@@ -248,7 +314,7 @@ impl Kernel {
                 .iter()
                 .flat_map(|clip| [clip.min[axis], clip.max[axis]]);
             let mut planes: Vec<i32> = ends
-                .chain([0, self.edge])
+                .chain([self.own.min[axis], self.own.max[axis]])
                 .filter(|plane| (points.min[axis]..=points.max[axis]).contains(plane))
                 .collect();
             planes.sort_unstable();
@@ -270,7 +336,12 @@ impl Kernel {
     }
 
     /// Looks at all vertices among the points at once, with the widest registers there are.
-    fn leaf<T: Ring>(&mut self, first: usize, points: Span, sums: &mut Sums<T>) {
+    fn leaf<T: Ring, const PARTS: usize>(
+        &mut self,
+        first: usize,
+        points: Span,
+        sums: &mut [Sums<T>; PARTS],
+    ) {
         #[cfg(target_arch = "x86_64")]
         if self.avx2 {
             #[expect(
@@ -285,17 +356,27 @@ impl Kernel {
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
-    fn leaf_avx2<T: Ring>(&mut self, first: usize, points: Span, sums: &mut Sums<T>) {
+    fn leaf_avx2<T: Ring, const PARTS: usize>(
+        &mut self,
+        first: usize,
+        points: Span,
+        sums: &mut [Sums<T>; PARTS],
+    ) {
         self.leaf_inlined(first, points, sums);
     }
 
     #[inline(always)]
-    fn leaf_inlined<T: Ring>(&mut self, first: usize, points: Span, sums: &mut Sums<T>) {
+    fn leaf_inlined<T: Ring, const PARTS: usize>(
+        &mut self,
+        first: usize,
+        points: Span,
+        sums: &mut [Sums<T>; PARTS],
+    ) {
         let mut planes = [Planes::NONE; 3];
         for axis in 0..3 {
             let planes = &mut planes[axis];
             let within = points.min[axis]..=points.max[axis];
-            for plane in [0, self.edge] {
+            for plane in [self.own.min[axis], self.own.max[axis]] {
                 if within.contains(&plane) {
                     planes.insert(plane);
                 }
@@ -345,6 +426,16 @@ impl Kernel {
         if !vertices_possible {
             return;
         }
+        // The material outside the union, when it is asked for.
+        let mut left = [[Layer::default(); CELLS_MAX]; 2];
+        if PARTS == 2 {
+            let cells = Planes::cells_of(&planes, &self.material, &points);
+            let pattern = Layer::product(cells[0], cells[1]);
+            for z in (0..cells_z).filter(|z| cells[2] >> z & 1 == 1) {
+                left[0][z] = pattern.and_not(before[z]);
+                left[1][z] = left[0][z].and_not(newly[z]);
+            }
+        }
         let points_of =
             |axis: usize| low_bits(u32::try_from(planes[axis].count).expect("at most fifteen"));
         let within = Layer::product(points_of(0), points_of(1));
@@ -353,29 +444,42 @@ impl Kernel {
             if near.is_empty() {
                 continue;
             }
-            let lower = [before[z], before[z].or(newly[z])];
-            let upper = [before[z + 1], before[z + 1].or(newly[z + 1])];
-            let vertices =
-                Layer::vertices(lower[0], upper[0]).or(Layer::vertices(lower[1], upper[1]));
+            // Of each part the layers below and above the points, before and after.
+            let parts: [[[Layer; 2]; 2]; PARTS] = std::array::from_fn(|part| {
+                if part == 0 {
+                    let after = |z: usize| before[z].or(newly[z]);
+                    [[before[z], before[z + 1]], [after(z), after(z + 1)]]
+                } else {
+                    left.map(|left| [left[z], left[z + 1]])
+                }
+            });
+            let vertices = parts
+                .iter()
+                .flatten()
+                .map(|[lower, upper]| Layer::vertices(*lower, *upper))
+                .fold(Layer::default(), Layer::or);
             let candidates = vertices.and(near.dilated()).and(within);
             for y in 0..planes[1].count {
-                let mut row = candidates.row(y);
+                let row = candidates.row(y);
                 if row == 0 {
                     continue;
                 }
-                let before = rows_around(&lower[0], &upper[0], y);
-                let after = rows_around(&lower[1], &upper[1], y);
-                let mut line = Line::<T>::default();
-                while row != 0 {
-                    let x = row.trailing_zeros();
-                    row &= row - 1;
-                    line.add(
-                        planes[0].at[x as usize],
-                        mask_at(before, x),
-                        mask_at(after, x),
-                    );
+                for ([before, after], sums) in parts.iter().zip(&mut *sums) {
+                    let before = rows_around(&before[0], &before[1], y);
+                    let after = rows_around(&after[0], &after[1], y);
+                    let mut line = Line::<T>::default();
+                    let mut row = row;
+                    while row != 0 {
+                        let x = row.trailing_zeros();
+                        row &= row - 1;
+                        line.add(
+                            planes[0].at[x as usize],
+                            mask_at(before, x),
+                            mask_at(after, x),
+                        );
+                    }
+                    sums.add(&line, planes[1].at[y], planes[2].at[z]);
                 }
-                sums.add(&line, planes[1].at[y], planes[2].at[z]);
             }
         }
     }
@@ -440,6 +544,11 @@ impl Span {
             min: corner,
             max: corner.map(|low| low + edge),
         }
+    }
+
+    /// Whether it has a volume.
+    fn is_solid(&self) -> bool {
+        (0..3).all(|axis| self.min[axis] < self.max[axis])
     }
 
     pub(super) fn contains(&self, other: &Self) -> bool {

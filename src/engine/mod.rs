@@ -23,13 +23,13 @@ mod marginal;
 use std::collections::HashMap;
 use std::ops::ControlFlow;
 
-use crate::geometry::{CUBES_MAX, CubeId, Edge, Effect, Measures, Place, Stock, Totals};
+use crate::geometry::{CUBES_MAX, CubeId, Edge, Effect, Place, Stock, Totals};
 
 pub use audit::recount;
 use certificates::Certificates;
 use grid::Grid;
 use ids::IdTable;
-use marginal::{Kernel, Span};
+use marginal::{Difference, Kernel, Span};
 
 /// One operation on a scene's set of cubes.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -122,7 +122,6 @@ pub struct Engine {
     hidden: Grid,
     kernel: Kernel,
     certificates: Certificates,
-    measures: Measures,
     totals: Totals,
     work: Work,
 }
@@ -185,7 +184,6 @@ impl Engine {
             hidden,
             kernel,
             certificates,
-            measures: Measures::default(),
             totals: Totals::default(),
             work: Work::default(),
         }
@@ -196,6 +194,7 @@ impl Engine {
     pub fn with_stock(mut self, stock: Option<Stock>) -> Self {
         assert!(self.is_empty(), "a stock is there before the first cube");
         self.stock = stock;
+        self.kernel.set_stock(stock);
         self.totals = Totals::of_nothing(stock);
         self
     }
@@ -321,12 +320,8 @@ impl Engine {
         for &(id, place) in &effect.inserted {
             self.insert(id, place);
         }
-        self.totals = Totals {
-            cubes: self.len(),
-            measures: self.measures,
-            bounds: self.visible.bounds(),
-            stock: self.totals.stock,
-        };
+        self.totals.cubes = self.len();
+        self.totals.bounds = self.visible.bounds();
         Ok(())
     }
 
@@ -389,10 +384,24 @@ impl Engine {
     }
 
     /// Makes a cube visible that adds `difference` to the union.
-    fn show(&mut self, id: CubeId, place: Place, difference: &Measures) {
-        self.measures.add(difference);
+    fn show(&mut self, id: CubeId, place: Place, difference: &Difference) {
+        self.add(difference);
         self.visible.insert(place, id);
         self.certificates.certify(place);
+    }
+
+    fn add(&mut self, difference: &Difference) {
+        self.totals.measures.add(&difference.union);
+        for (total, part) in self.totals.stock.iter_mut().zip(&difference.stock) {
+            total.add(part);
+        }
+    }
+
+    fn retract(&mut self, difference: &Difference) {
+        self.totals.measures.retract(&difference.union);
+        for (total, part) in self.totals.stock.iter_mut().zip(&difference.stock) {
+            total.retract(part);
+        }
     }
 
     fn delete(&mut self, id: CubeId, place: Place) {
@@ -415,7 +424,7 @@ impl Engine {
         let Some(difference) = self.uncovered(place) else {
             return;
         };
-        self.measures.retract(&difference);
+        self.retract(&difference);
         for bare in &self.work.uncovered {
             self.certificates.revoke(bare);
         }
@@ -491,14 +500,14 @@ impl Engine {
     }
 
     /// What the cube at `place` adds to the union of the visible cubes; none when they cover it.
-    fn marginal(&mut self, place: Place) -> Option<Measures> {
+    fn marginal(&mut self, place: Place) -> Option<Difference> {
         self.work.offsets.clear();
         self.visible.gather(place.corner(), &mut self.work.offsets);
         self.kernel.marginal(place, &self.work.offsets)
     }
 
     /// The same, and boxes around what the visible cubes leave bare of it.
-    fn uncovered(&mut self, place: Place) -> Option<Measures> {
+    fn uncovered(&mut self, place: Place) -> Option<Difference> {
         self.work.offsets.clear();
         self.visible.gather(place.corner(), &mut self.work.offsets);
         self.kernel

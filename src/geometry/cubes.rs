@@ -35,6 +35,20 @@ pub struct StockMeasures {
     pub remaining: Measures,
 }
 
+impl StockMeasures {
+    /// Adds a difference, as an insertion does.
+    pub fn add(&mut self, difference: &Self) {
+        self.removed.add(&difference.removed);
+        self.remaining.add(&difference.remaining);
+    }
+
+    /// Retracts a difference, as a deletion does.
+    pub fn retract(&mut self, difference: &Self) {
+        self.removed.retract(&difference.removed);
+        self.remaining.retract(&difference.remaining);
+    }
+}
+
 impl Totals {
     /// The totals of a scene without cubes.
     pub fn of_nothing(stock: Option<Stock>) -> Self {

@@ -1,27 +1,54 @@
 //! The slow twin of the geometry: every measure from its definition, voxel by voxel.
 
 use ethnum::I256;
-use union3d::geometry::{Bounds, Edge, EdgeKind, Measures, Place, Totals, VertexKind};
+use union3d::geometry::{
+    Bounds, Edge, EdgeKind, Measures, Place, Stock, StockMeasures, Totals, VertexKind,
+};
 
 /// The totals of a few cubes in a small world, counted voxel by voxel, face by face, edge by edge.
-pub(crate) fn totals(edge: Edge, places: &[Place]) -> Totals {
-    let bounds = places.iter().fold(None::<Bounds>, |bounds, place| {
-        let min = place.corner();
-        let max = min.map(|low| low + edge.steps());
-        Some(bounds.map_or(Bounds { min, max }, |bounds| Bounds {
-            min: std::array::from_fn(|axis| bounds.min[axis].min(min[axis])),
-            max: std::array::from_fn(|axis| bounds.max[axis].max(max[axis])),
-        }))
-    });
-    let measures = bounds.map_or_else(Measures::default, |bounds| {
-        World::new(edge, places, bounds).measures()
-    });
+pub(crate) fn totals(edge: Edge, stock: Option<Stock>, places: &[Place]) -> Totals {
+    let boxes: Vec<Bounds> = places
+        .iter()
+        .map(|place| Bounds {
+            min: place.corner(),
+            max: place.corner().map(|low| low + edge.steps()),
+        })
+        .collect();
+    let bounds = around(boxes.iter().copied());
+    let union = |voxel: [i32; 3]| boxes.iter().any(|cube| holds(cube, voxel));
+    let measures = |bounds: Option<Bounds>, solid: &dyn Fn([i32; 3]) -> bool| match bounds {
+        Some(bounds) => World::new(bounds, solid).measures(),
+        None => Measures::default(),
+    };
     Totals {
         cubes: places.len() as u64,
-        measures,
+        measures: measures(bounds, &union),
         bounds,
-        stock: None,
+        stock: stock.map(|stock| {
+            let material = stock.bounds();
+            StockMeasures {
+                removed: measures(Some(material), &|voxel| {
+                    holds(&material, voxel) && union(voxel)
+                }),
+                remaining: measures(Some(material), &|voxel| {
+                    holds(&material, voxel) && !union(voxel)
+                }),
+            }
+        }),
     }
+}
+
+/// The box around boxes; none around none.
+fn around(boxes: impl Iterator<Item = Bounds>) -> Option<Bounds> {
+    boxes.reduce(|one, other| Bounds {
+        min: std::array::from_fn(|axis| one.min[axis].min(other.min[axis])),
+        max: std::array::from_fn(|axis| one.max[axis].max(other.max[axis])),
+    })
+}
+
+/// Whether a box holds the voxel whose lower corner this is.
+fn holds(bounds: &Bounds, voxel: [i32; 3]) -> bool {
+    (0..3).all(|axis| (bounds.min[axis]..bounds.max[axis]).contains(&voxel[axis]))
 }
 
 /// Voxels of the bounding box with an empty layer around it.
@@ -32,26 +59,25 @@ struct World {
 }
 
 impl World {
-    fn new(edge: Edge, places: &[Place], bounds: Bounds) -> Self {
+    fn new(bounds: Bounds, solid: &dyn Fn([i32; 3]) -> bool) -> Self {
         let origin = bounds.min.map(|low| low - 1);
-        let size = std::array::from_fn(|axis| (bounds.max[axis] - bounds.min[axis] + 2) as usize);
-        let mut world = Self {
+        let size: [usize; 3] =
+            std::array::from_fn(|axis| (bounds.max[axis] - bounds.min[axis] + 2) as usize);
+        let voxel = |index: usize| {
+            let at = [
+                index % size[0],
+                index / size[0] % size[1],
+                index / size[0] / size[1],
+            ];
+            std::array::from_fn(|axis| origin[axis] + at[axis] as i32)
+        };
+        Self {
             origin,
             size,
-            filled: vec![false; size.iter().product()],
-        };
-        let side = edge.steps();
-        for place in places {
-            for index in 0..side.pow(3) {
-                let step = [index % side, index / side % side, index / side / side];
-                let at = std::array::from_fn(|axis| {
-                    (place.corner()[axis] + step[axis] - origin[axis]) as usize
-                });
-                let index = world.index(at);
-                world.filled[index] = true;
-            }
+            filled: (0..size.iter().product())
+                .map(|index| solid(voxel(index)))
+                .collect(),
         }
-        world
     }
 
     fn index(&self, at: [usize; 3]) -> usize {
