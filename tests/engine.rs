@@ -149,7 +149,8 @@ fn crowded_histories_agree_with_a_recount() {
         // Flat worlds make massive coplanarity.
         let flat = random.below(4) as usize;
         // Faces of the stock go through the crowd, or lie around it.
-        let stock = random_stock(&mut random, reach * random.within(1, 3));
+        let stock_reach = reach * random.within(1, 3);
+        let stock = random_stock(&mut random, stock_reach);
         let volume = Totals::of_nothing(Some(stock))
             .stock
             .unwrap()

@@ -426,12 +426,25 @@ impl Kernel {
         if !vertices_possible {
             return;
         }
+        self.add_points(points, &planes, &before, &newly, sums);
+    }
+
+    /// Adds the differences at the vertices among the points.
+    #[inline(always)]
+    fn add_points<T: Ring, const PARTS: usize>(
+        &self,
+        points: Span,
+        planes: &[Planes; 3],
+        before: &[Layer; CELLS_MAX],
+        newly: &[Layer; CELLS_MAX],
+        sums: &mut [Sums<T>; PARTS],
+    ) {
         // The material outside the union, when it is asked for.
         let mut left = [[Layer::default(); CELLS_MAX]; 2];
         if PARTS == 2 {
-            let cells = Planes::cells_of(&planes, &self.material, &points);
+            let cells = Planes::cells_of(planes, &self.material, &points);
             let pattern = Layer::product(cells[0], cells[1]);
-            for z in (0..cells_z).filter(|z| cells[2] >> z & 1 == 1) {
+            for z in (0..CELLS_MAX).filter(|z| cells[2] >> z & 1 == 1) {
                 left[0][z] = pattern.and_not(before[z]);
                 left[1][z] = left[0][z].and_not(newly[z]);
             }
