@@ -27,6 +27,8 @@ use ethnum::I256;
 
 use crate::geometry::{Bounds, Edge, Measures, Place, Stock, StockMeasures, WEIGHTS};
 
+use super::neighbours::Neighbours;
+
 /// What one cube adds: to the union, and to the two parts of the stock if there is one.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) struct Difference {
@@ -55,7 +57,7 @@ const _: () = assert!((NARROW_EDGE_MAX as u128).pow(5) < 1 << 63);
 const _: () = assert!(5 * crate::geometry::EDGE_MAX.ilog2() < 127);
 
 /// The kernel with its working memory.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Kernel {
     edge: i32,
     stock: Option<Bounds>,
@@ -105,37 +107,37 @@ impl Kernel {
         self.stock = stock.map(|stock| stock.bounds());
     }
 
-    /// F(S + c) - F(S) for the cube at `place`, where S is given by the offsets of those of its cubes that touch c.
+    /// F(S + c) - F(S) for the cube at `place`, where S is given by those of its cubes that touch c.
     /// None when c changes nothing: it is covered.
-    pub(super) fn marginal(&mut self, place: Place, offsets: &[[i32; 3]]) -> Option<Difference> {
+    pub(super) fn marginal(&mut self, place: Place, neighbours: &Neighbours) -> Option<Difference> {
         self.collect = false;
-        self.difference(place, offsets)
+        self.difference(place, neighbours)
     }
 
     /// Closed boxes, in scene coordinates, that together contain c minus S. Empty when c is covered.
     pub(super) fn uncovered(
         &mut self,
         place: Place,
-        offsets: &[[i32; 3]],
+        neighbours: &Neighbours,
         boxes: &mut Vec<Span>,
     ) -> Option<Difference> {
         self.collect = true;
-        let difference = self.difference(place, offsets);
+        let difference = self.difference(place, neighbours);
         let corner = place.corner();
         boxes.clear();
         boxes.extend(self.uncovered.iter().map(|span| span.moved(corner)));
         difference
     }
 
-    fn difference(&mut self, place: Place, offsets: &[[i32; 3]]) -> Option<Difference> {
+    fn difference(&mut self, place: Place, neighbours: &Neighbours) -> Option<Difference> {
         self.uncovered.clear();
-        if offsets.contains(&[0; 3]) {
+        if neighbours.iter().any(|offset| offset == [0; 3]) {
             return None;
         }
         let cube = Span::cube([0; 3], self.edge);
         let frame = cube.grown();
         let Some(stock) = self.stock else {
-            let [union] = self.sums(place, offsets, cube, frame)?;
+            let [union] = self.sums(place, neighbours, cube, frame)?;
             return Some(Difference { union, stock: None });
         };
         let corner = place.corner();
@@ -147,17 +149,17 @@ impl Kernel {
         };
         if stock.contains(&frame) {
             // No face of the stock is near: what comes to the union comes to what is removed.
-            let [union, remaining] = self.sums(place, offsets, cube, frame)?;
+            let [union, remaining] = self.sums(place, neighbours, cube, frame)?;
             let removed = union;
             let stock = Some(StockMeasures { removed, remaining });
             return Some(Difference { union, stock });
         }
-        let [union] = self.sums(place, offsets, cube, frame)?;
+        let [union] = self.sums(place, neighbours, cube, frame)?;
         self.collect = false;
         let inside = cube.clamped(&stock);
         let parts = if inside.is_solid() {
             let material = inside.grown().clamped(&stock);
-            self.sums(place, offsets, inside, material)
+            self.sums(place, neighbours, inside, material)
         } else {
             None
         };
@@ -171,16 +173,16 @@ impl Kernel {
     fn sums<const PARTS: usize>(
         &mut self,
         place: Place,
-        offsets: &[[i32; 3]],
+        neighbours: &Neighbours,
         own: Span,
         material: Span,
     ) -> Option<[Measures; PARTS]> {
         (self.own, self.material) = (own, material);
         self.clips.clear();
         let within = own.grown().clamped(&material);
-        let clips = offsets
+        let clips = neighbours
             .iter()
-            .map(|offset| Span::cube(*offset, self.edge).clamped(&within))
+            .map(|offset| Span::cube(offset, self.edge).clamped(&within))
             .filter(|clip| clip.is_solid() && clip.reaches(&own));
         self.clips.extend(clips);
         let corner = place.corner();
