@@ -13,8 +13,7 @@ use std::ops::ControlFlow;
 
 use crate::geometry::{Bounds, CubeId, Edge, Place};
 
-/// Cubes in a block; eight `i32` are one AVX2 register.
-const LANES: usize = 8;
+use super::neighbours::{LANES, Neighbours};
 
 /// Coordinate of an unused lane: farther than any query reaches, even when the difference wraps.
 const FAR: i32 = i32::MIN;
@@ -200,12 +199,14 @@ impl Grid {
         })
     }
 
-    /// Appends the offset from `corner` to every cube that touches the cube at `corner` (closed boxes), itself included.
-    pub(super) fn gather(&self, corner: [i32; 3], offsets: &mut Vec<[i32; 3]>) {
+    /// Finds every cube that touches the cube at `corner` (closed boxes), cubes at the very same place included.
+    pub(super) fn gather(&self, corner: [i32; 3], neighbours: &mut Neighbours) {
         let min = corner.map(|coordinate| coordinate - self.edge);
         let max = corner.map(|coordinate| coordinate + self.edge);
+        neighbours.clear();
         let all: ControlFlow<()> = self.visit_blocks(min, max, |block, lane| {
-            offsets.push([
+            neighbours.reserve(1);
+            neighbours.push([
                 block.corner[0][lane] - corner[0],
                 block.corner[1][lane] - corner[1],
                 block.corner[2][lane] - corner[2],

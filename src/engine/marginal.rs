@@ -30,6 +30,8 @@ use ethnum::I256;
 
 use crate::geometry::{Bounds, Edge, Measures, Place, Stock, StockMeasures, WEIGHTS};
 
+use super::neighbours::Neighbours;
+
 /// What one cube adds: to the union, and to the two parts of the stock if there is one.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) struct Difference {
@@ -58,7 +60,7 @@ const _: () = assert!((NARROW_EDGE_MAX as u128).pow(5) < 1 << 63);
 const _: () = assert!(5 * crate::geometry::EDGE_MAX.ilog2() < 127);
 
 /// The kernel with its working memory.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Kernel {
     edge: i32,
     stock: Option<Bounds>,
@@ -115,57 +117,57 @@ impl Kernel {
         self.stock = stock.map(|stock| stock.bounds());
     }
 
-    /// F(S + c) - F(S) for the cube at `place`, where S is given by the offsets of those of its cubes that touch c.
+    /// F(S + c) - F(S) for the cube at `place`, where S is given by those of its cubes that touch c.
     /// None when c changes nothing: it is covered.
-    pub(super) fn marginal(&mut self, place: Place, offsets: &[[i32; 3]]) -> Option<Difference> {
+    pub(super) fn marginal(&mut self, place: Place, neighbours: &Neighbours) -> Option<Difference> {
         self.collect = false;
-        self.difference(place, offsets)
+        self.difference(place, neighbours)
     }
 
     /// Closed boxes, in scene coordinates, that together contain c minus S. Empty when c is covered.
     pub(super) fn uncovered(
         &mut self,
         place: Place,
-        offsets: &[[i32; 3]],
+        neighbours: &Neighbours,
         boxes: &mut Vec<Span>,
     ) -> Option<Difference> {
         self.collect = true;
-        let difference = self.difference(place, offsets);
+        let difference = self.difference(place, neighbours);
         let corner = place.corner();
         boxes.clear();
         boxes.extend(self.uncovered.iter().map(|span| span.moved(corner)));
         difference
     }
 
-    fn difference(&mut self, place: Place, offsets: &[[i32; 3]]) -> Option<Difference> {
+    fn difference(&mut self, place: Place, neighbours: &Neighbours) -> Option<Difference> {
         #[cfg(target_arch = "x86_64")]
         if self.fast.is_some() {
-            return self.fast_difference(place, offsets);
+            return self.fast_difference(place, neighbours);
         }
         self.uncovered.clear();
-        if offsets.contains(&[0; 3]) {
+        if neighbours.iter().any(|offset| offset == [0; 3]) {
             return None;
         }
         let cube = Span::cube([0; 3], self.edge);
         let frame = cube.grown();
         let Some(stock) = self.stock else {
-            let [union] = self.sums(place, offsets, cube, frame)?;
+            let [union] = self.sums(place, neighbours, cube, frame)?;
             return Some(Difference { union, stock: None });
         };
         let stock = local(&stock, place);
         if stock.contains(&frame) {
             // No face of the stock is near: what comes to the union comes to what is removed.
-            let [union, remaining] = self.sums(place, offsets, cube, frame)?;
+            let [union, remaining] = self.sums(place, neighbours, cube, frame)?;
             let removed = union;
             let stock = Some(StockMeasures { removed, remaining });
             return Some(Difference { union, stock });
         }
-        let [union] = self.sums(place, offsets, cube, frame)?;
+        let [union] = self.sums(place, neighbours, cube, frame)?;
         self.collect = false;
         let inside = cube.clamped(&stock);
         let parts = if inside.is_solid() {
             let material = inside.grown().clamped(&stock);
-            self.sums(place, offsets, inside, material)
+            self.sums(place, neighbours, inside, material)
         } else {
             None
         };
@@ -175,7 +177,7 @@ impl Kernel {
     }
 
     #[cfg(target_arch = "x86_64")]
-    fn fast_difference(&mut self, place: Place, offsets: &[[i32; 3]]) -> Option<Difference> {
+    fn fast_difference(&mut self, place: Place, neighbours: &Neighbours) -> Option<Difference> {
         use avx2::{ACROSS, INSIDE, UNION};
         let fast = self.fast.as_mut()?;
         let cube = Span::cube([0; 3], self.edge);
@@ -190,11 +192,11 @@ impl Kernel {
         // SAFETY: `fast` is there only when the processor was found to have every feature these functions enable.
         let sums = unsafe {
             if inside {
-                fast.difference::<INSIDE>(offsets, &near, self.collect)
+                fast.difference::<INSIDE>(neighbours, &near, self.collect)
             } else if across {
-                fast.difference::<ACROSS>(offsets, &near, self.collect)
+                fast.difference::<ACROSS>(neighbours, &near, self.collect)
             } else {
-                fast.difference::<UNION>(offsets, &near, self.collect)
+                fast.difference::<UNION>(neighbours, &near, self.collect)
             }
         };
         std::mem::swap(&mut self.uncovered, &mut fast.uncovered);
@@ -217,16 +219,16 @@ impl Kernel {
     fn sums<const PARTS: usize>(
         &mut self,
         place: Place,
-        offsets: &[[i32; 3]],
+        neighbours: &Neighbours,
         own: Span,
         material: Span,
     ) -> Option<[Measures; PARTS]> {
         (self.own, self.material) = (own, material);
         self.clips.clear();
         let within = own.grown().clamped(&material);
-        let clips = offsets
+        let clips = neighbours
             .iter()
-            .map(|offset| Span::cube(*offset, self.edge).clamped(&within))
+            .map(|offset| Span::cube(offset, self.edge).clamped(&within))
             .filter(|clip| clip.is_solid() && clip.reaches(&own));
         self.clips.extend(clips);
         let corner = place.corner();

@@ -19,6 +19,7 @@ mod certificates;
 mod grid;
 mod ids;
 mod marginal;
+mod neighbours;
 
 use std::collections::HashMap;
 use std::ops::ControlFlow;
@@ -30,6 +31,7 @@ use certificates::Certificates;
 use grid::Grid;
 use ids::IdTable;
 use marginal::{Difference, Kernel, Span};
+use neighbours::Neighbours;
 
 /// One operation on a scene's set of cubes.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -127,9 +129,9 @@ pub struct Engine {
 }
 
 /// Memory that one operation after the other uses.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct Work {
-    offsets: Vec<[i32; 3]>,
+    neighbours: Neighbours,
     uncovered: Vec<Span>,
 }
 
@@ -185,7 +187,10 @@ impl Engine {
             kernel,
             certificates,
             totals: Totals::default(),
-            work: Work::default(),
+            work: Work {
+                neighbours: Neighbours::new(),
+                uncovered: Vec::new(),
+            },
         }
     }
 
@@ -501,17 +506,17 @@ impl Engine {
 
     /// What the cube at `place` adds to the union of the visible cubes; none when they cover it.
     fn marginal(&mut self, place: Place) -> Option<Difference> {
-        self.work.offsets.clear();
-        self.visible.gather(place.corner(), &mut self.work.offsets);
-        self.kernel.marginal(place, &self.work.offsets)
+        self.visible
+            .gather(place.corner(), &mut self.work.neighbours);
+        self.kernel.marginal(place, &self.work.neighbours)
     }
 
     /// The same, and boxes around what the visible cubes leave bare of it.
     fn uncovered(&mut self, place: Place) -> Option<Difference> {
-        self.work.offsets.clear();
-        self.visible.gather(place.corner(), &mut self.work.offsets);
+        self.visible
+            .gather(place.corner(), &mut self.work.neighbours);
         self.kernel
-            .uncovered(place, &self.work.offsets, &mut self.work.uncovered)
+            .uncovered(place, &self.work.neighbours, &mut self.work.uncovered)
     }
 
     /// Up to `limit` cubes after the cursor (from the beginning without one), and the cursor of the last when more follow.

@@ -12,21 +12,25 @@
 //! At the lower and the upper end of the points, `base` and `top` are the cube's own faces or lie just beyond the points.
 
 use std::arch::x86_64::{
-    __m128i, __m256i, _mm_add_epi16, _mm_blendv_epi8, _mm_cmpgt_epi16, _mm_cvtsi128_si64,
-    _mm_extract_epi16, _mm_max_epi16, _mm_min_epi16, _mm_movemask_epi8, _mm_mullo_epi32,
-    _mm_packs_epi16, _mm_packs_epi32, _mm_set1_epi16, _mm_setr_epi16, _mm_setr_epi32,
-    _mm_setzero_si128, _mm_shuffle_epi32, _mm_srli_si128, _mm_sub_epi16, _mm_sub_epi32,
-    _mm_testz_si128, _mm_unpackhi_epi32, _mm_unpackhi_epi64, _mm_unpacklo_epi16,
-    _mm_unpacklo_epi32, _mm_unpacklo_epi64, _mm256_add_epi32, _mm256_add_epi64, _mm256_alignr_epi8,
-    _mm256_and_si256, _mm256_andnot_si256, _mm256_broadcastsi128_si256, _mm256_castsi128_si256,
-    _mm256_castsi256_si128, _mm256_cmpeq_epi16, _mm256_cmpgt_epi16, _mm256_cvtepi32_epi64,
-    _mm256_extract_epi64, _mm256_extracti128_si256, _mm256_movemask_epi8, _mm256_mul_epi32,
-    _mm256_mullo_epi32, _mm256_or_si256, _mm256_permute2x128_si256, _mm256_permutevar8x32_epi32,
-    _mm256_set_m128i, _mm256_set1_epi16, _mm256_setr_epi32, _mm256_setzero_si256,
-    _mm256_shuffle_epi8, _mm256_srli_epi16, _mm256_sub_epi16, _mm256_sub_epi32, _mm256_testz_si256,
+    __m128i, __m256i, _mm_blendv_epi8, _mm_cmpgt_epi16, _mm_extract_epi16, _mm_max_epi16,
+    _mm_min_epi16, _mm_movemask_epi8, _mm_mullo_epi32, _mm_packs_epi16, _mm_packs_epi32,
+    _mm_set1_epi16, _mm_setr_epi16, _mm_setr_epi32, _mm_setzero_si128, _mm_shuffle_epi8,
+    _mm_shuffle_epi32, _mm_srli_si128, _mm_sub_epi16, _mm_sub_epi32, _mm_testz_si128,
+    _mm_unpackhi_epi32, _mm_unpackhi_epi64, _mm_unpacklo_epi16, _mm_unpacklo_epi32,
+    _mm_unpacklo_epi64, _mm256_add_epi16, _mm256_add_epi32, _mm256_add_epi64, _mm256_adds_epi16,
+    _mm256_alignr_epi8, _mm256_and_si256, _mm256_andnot_si256, _mm256_blendv_epi8,
+    _mm256_broadcastsi128_si256, _mm256_castsi128_si256, _mm256_castsi256_si128,
+    _mm256_cmpeq_epi16, _mm256_cmpgt_epi16, _mm256_cvtepi32_epi64, _mm256_extract_epi64,
+    _mm256_extracti128_si256, _mm256_max_epi16, _mm256_min_epi16, _mm256_movemask_epi8,
+    _mm256_mul_epi32, _mm256_mulhi_epu16, _mm256_mullo_epi32, _mm256_or_si256,
+    _mm256_permute2x128_si256, _mm256_permutevar8x32_epi32, _mm256_set_m128i, _mm256_set1_epi16,
+    _mm256_setr_epi32, _mm256_setzero_si256, _mm256_shuffle_epi8, _mm256_sll_epi16,
+    _mm256_srli_epi16, _mm256_sub_epi16, _mm256_sub_epi32, _mm256_testz_si256,
+    _mm256_unpackhi_epi16, _mm256_unpackhi_epi32, _mm256_unpacklo_epi16, _mm256_unpacklo_epi32,
     _mm256_xor_si256, _pext_u64,
 };
 
+use super::super::neighbours::{self, Neighbours};
 use super::{Span, Sums};
 use crate::geometry::{EdgeKind, WEIGHTS};
 
@@ -58,20 +62,65 @@ const fn leaf_clips<const MODE: Mode>() -> usize {
     }
 }
 
+/// Offsets in a register.
+const LANES: usize = 16;
+/// An offset that neither reaches nor covers anything, and has no core.
+const FAR: i16 = i16::MIN;
+
+/// A list of offsets in the stack. Behind it there is room for a register of [`FAR`].
+#[derive(Clone, Copy)]
+struct List {
+    first: usize,
+    len: usize,
+}
+
+impl List {
+    /// Where its registers begin.
+    fn chunks(self) -> impl Iterator<Item = usize> {
+        (self.first..self.first + self.len).step_by(LANES)
+    }
+
+    /// Where the next list can begin.
+    fn padded_end(self) -> usize {
+        self.first + self.len + LANES
+    }
+}
+
+/// How to bring the lanes of eight whose bits are set to the front.
+static PACKING: [[u8; 16]; 256] = {
+    let mut table = [[0; 16]; 256];
+    let mut kept = 0;
+    while kept < 256 {
+        let (mut lane, mut to) = (0, 0);
+        while lane < 8 {
+            if kept >> lane & 1 == 1 {
+                table[kept][2 * to] = 2 * lane as u8;
+                table[kept][2 * to + 1] = 2 * lane as u8 + 1;
+                to += 1;
+            }
+            lane += 1;
+        }
+        kept += 1;
+    }
+    table
+};
+
 /// A box in one register.
 type Box16 = __m128i;
 /// Sixteen rows of sixteen cells.
 type Layer = __m256i;
 
 /// The kernel with its working memory.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct FastKernel {
     edge: i32,
     /// The cube in its own coordinates.
     own: Box16,
     /// The stock in the cube's coordinates, drawn in to the frame.
     stock: Box16,
-    /// A stack of clips: each level of the division works on the end of it.
+    /// A stack of lists of offsets, a column for each axis: each level of the division adds one.
+    offsets: [Vec<i16>; 3],
+    /// The clips of a leaf.
     clips: Vec<Box16>,
     /// Boxes that contain everything newly covered; kept only when asked for.
     pub(super) uncovered: Vec<Span>,
@@ -91,7 +140,7 @@ struct Planes {
 
 /// What the weights of octant masks multiply, in the order of their lanes.
 #[derive(Clone, Copy)]
-#[repr(C, align(32))]
+#[repr(C, align(128))]
 struct Row {
     /// Edges: along x by kind, along y by kind, two kinds along z.
     edges: [i32; 8],
@@ -99,16 +148,14 @@ struct Row {
     counts: [i32; 8],
     /// Area by axis of the normal, volume.
     areas: [i32; 4],
-    unused: [i32; 4],
 }
-const _: () = assert!(size_of::<Row>() == 96);
+const _: () = assert!(size_of::<Row>() == 128);
 
 static ROWS: [Row; 256] = {
     let mut rows = [Row {
         edges: [0; 8],
         counts: [0; 8],
         areas: [0; 4],
-        unused: [0; 4],
     }; 256];
     let mut mask = 0;
     while mask < 256 {
@@ -166,6 +213,7 @@ impl FastKernel {
             edge,
             own: four([0; 4]),
             stock: four([0; 4]),
+            offsets: Default::default(),
             clips: Vec::new(),
             uncovered: Vec::new(),
             collect: false,
@@ -176,30 +224,20 @@ impl FastKernel {
     #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
     pub(super) fn difference<const MODE: Mode>(
         &mut self,
-        offsets: &[[i32; 3]],
+        neighbours: &Neighbours,
         stock: &Span,
         collect: bool,
     ) -> Option<[Sums<i128>; 3]> {
         self.collect = collect;
         self.uncovered.clear();
-        self.clips.clear();
         let cube = Span::cube([0; 3], self.edge);
-        let frame = boxed(&cube.grown());
         self.own = boxed(&cube);
         if MODE == ACROSS {
             self.stock = boxed(&stock.clamped(&cube.grown()));
         }
-        let edge = _mm_setr_epi32(-self.edge, -self.edge, -self.edge, 0);
-        for &[x, y, z] in offsets {
-            let low = _mm_setr_epi32(x, y, z, 0);
-            let clip = _mm_max_epi16(_mm_packs_epi32(low, _mm_sub_epi32(edge, low)), frame);
-            if contains(clip, self.own) {
-                return None;
-            }
-            self.clips.push(clip);
-        }
+        let list = self.list(neighbours)?;
         let mut sums = [Sums::default(), Sums::default(), Sums::default()];
-        self.divide::<MODE>(0, self.own, &mut sums);
+        self.divide::<MODE>(list, &cube, &mut sums);
         if MODE == INSIDE {
             let [union, _, remaining] = &mut sums;
             complement(union, remaining);
@@ -207,106 +245,199 @@ impl FastKernel {
         (sums[0].volume != 0).then_some(sums)
     }
 
+    /// The first list of the stack; none when a neighbour is at the very same place.
+    #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
+    fn list(&mut self, neighbours: &Neighbours) -> Option<List> {
+        const HALF: usize = LANES / 2;
+        const _: () = assert!(HALF == neighbours::LANES);
+        let list = List {
+            first: 0,
+            len: neighbours.len,
+        };
+        self.make_room(list.padded_end());
+        let columns = [&neighbours.x, &neighbours.y, &neighbours.z];
+        for (column, to) in columns.into_iter().zip(&mut self.offsets) {
+            for index in (0..list.len).step_by(HALF) {
+                let from: &[i32; HALF] = column[index..].first_chunk().expect("it is padded");
+                let from = eight(*from);
+                let (low, high) = halves(from);
+                let narrow = narrow(_mm_packs_epi32(low, high));
+                to[index..index + HALF].copy_from_slice(&narrow);
+            }
+            to[list.len..list.len + LANES].fill(FAR);
+        }
+        let zero = _mm256_setzero_si256();
+        let mut same = zero;
+        for chunk in list.chunks() {
+            let [x, y, z] = self.chunk(chunk);
+            let any = _mm256_or_si256(_mm256_or_si256(x, y), z);
+            same = _mm256_or_si256(same, _mm256_cmpeq_epi16(any, zero));
+        }
+        (_mm256_testz_si256(same, same) == 1).then_some(list)
+    }
+
+    fn make_room(&mut self, end: usize) {
+        if self.offsets[0].len() < end {
+            for column in &mut self.offsets {
+                column.resize(end.next_power_of_two(), FAR);
+            }
+        }
+    }
+
+    /// Sixteen offsets, an axis each.
+    #[target_feature(enable = "avx2")]
+    #[inline]
+    fn chunk(&self, first: usize) -> [__m256i; 3] {
+        [
+            chunk_of(&self.offsets[0], first),
+            chunk_of(&self.offsets[1], first),
+            chunk_of(&self.offsets[2], first),
+        ]
+    }
+
     /// See the portable kernel.
     #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
-    fn divide<const MODE: Mode>(
-        &mut self,
-        first: usize,
-        points: Box16,
-        sums: &mut [Sums<i128>; 3],
-    ) {
-        if self.clips.len() - first <= const { leaf_clips::<MODE>() } {
-            let planes = self.planes::<MODE>(first, points);
-            return self.leaf::<MODE>(first, points, &planes, sums);
+    fn divide<const MODE: Mode>(&mut self, list: List, points: &Span, sums: &mut [Sums<i128>; 3]) {
+        if list.len <= const { leaf_clips::<MODE>() } {
+            self.clip(list, points);
+            let points = boxed(points);
+            let planes = self.planes::<MODE>(points);
+            return self.leaf::<MODE>(points, &planes, sums);
         }
-        let Some(core) = self.largest_core(first, points) else {
-            return self.divide_thin::<MODE>(first, points, sums);
+        let Some(core) = self.largest_core(list, points) else {
+            return self.divide_thin::<MODE>(list, points, sums);
         };
-        let (mut rest, core) = (unboxed(points), unboxed(core));
+        let mut rest = *points;
         for axis in 0..3 {
             if rest.min[axis] < core.min[axis] {
                 let mut slab = rest;
                 slab.max[axis] = core.min[axis] - 1;
-                self.descend::<MODE>(first, boxed(&slab), sums);
+                self.descend::<MODE>(list, &slab, sums);
                 rest.min[axis] = core.min[axis];
             }
             if core.max[axis] < rest.max[axis] {
                 let mut slab = rest;
                 slab.min[axis] = core.max[axis] + 1;
-                self.descend::<MODE>(first, boxed(&slab), sums);
+                self.descend::<MODE>(list, &slab, sums);
                 rest.max[axis] = core.max[axis];
             }
         }
     }
 
+    /// Goes on with a part of the points and the cubes that reach it, unless one of them covers all that is there.
     #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
-    fn descend<const MODE: Mode>(
-        &mut self,
-        first: usize,
-        points: Box16,
-        sums: &mut [Sums<i128>; 3],
-    ) {
-        let end = self.clips.len();
-        let cells = grown(points);
-        let own = _mm_max_epi16(self.own, cells);
-        // A clip reaches the points when its lower ends are not above their upper ends, and the other way round.
-        let reach = _mm_sub_epi16(
-            _mm_setzero_si128(),
-            _mm_shuffle_epi32::<0b01_00_11_10>(points),
-        );
-        self.clips.reserve(end - first);
-        for index in first..end {
-            let clip = self.clips[index];
-            if !contains(clip, reach) {
-                continue;
-            }
-            if contains(clip, own) {
-                self.clips.truncate(end);
+    fn descend<const MODE: Mode>(&mut self, list: List, points: &Span, sums: &mut [Sums<i128>; 3]) {
+        let first = list.padded_end();
+        self.make_room(first + list.len + 2 * LANES);
+        let own = Span::cube([0; 3], self.edge).clamped(&points.grown());
+        // A cube reaches the points when its offset is above the first and not above the second; likewise, it covers.
+        let every = |from: [i32; 3]| from.map(|coordinate| _mm256_set1_epi16(lane(coordinate)));
+        let beyond = |low: i32| low - self.edge - 1;
+        let reach = [every(points.min.map(beyond)), every(points.max)];
+        let cover = [every(own.max.map(beyond)), every(own.min)];
+        let mut len = 0;
+        for chunk in list.chunks() {
+            let offsets = self.chunk(chunk);
+            let covers = between(&offsets, &cover);
+            if _mm256_testz_si256(covers, covers) == 0 {
                 return;
             }
-            self.clips.push(_mm_max_epi16(clip, cells));
-        }
-        self.divide::<MODE>(end, points, sums);
-        self.clips.truncate(end);
-    }
-
-    /// The points around which a clip already fills all of the cube, for the clip that has most of them.
-    #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
-    fn largest_core(&self, first: usize, points: Box16) -> Option<Box16> {
-        let mut best = (0, points);
-        let one = _mm_set1_epi16(1);
-        for &clip in &self.clips[first..] {
-            // A point inside its ends, or on the cube's own face where the clip ends there or beyond.
-            let beyond = _mm_cmpgt_epi16(clip, self.own);
-            let core = _mm_max_epi16(_mm_sub_epi16(clip, beyond), self.own);
-            let core = _mm_max_epi16(core, points);
-            let sum = _mm_add_epi16(core, _mm_srli_si128::<8>(core));
-            let count = _mm_max_epi16(_mm_sub_epi16(one, sum), _mm_setzero_si128());
-            let count = _mm_cvtsi128_si64(count);
-            let count = (count & 0xffff) * (count >> 16 & 0xffff) * (count >> 32 & 0xffff);
-            if count > best.0 {
-                best = (count, core);
+            let kept = between(&offsets, &reach);
+            let (low, high) = halves(kept);
+            let kept = _mm_movemask_epi8(_mm_packs_epi16(low, high)).to_le_bytes();
+            for (half, kept) in kept.into_iter().take(2).enumerate() {
+                let packing = sixteen(PACKING[usize::from(kept)]);
+                let at = first + len;
+                for (column, lanes) in self.offsets.iter_mut().zip(offsets) {
+                    let (low, high) = halves(lanes);
+                    let lanes = _mm_shuffle_epi8(if half == 0 { low } else { high }, packing);
+                    let to: &mut [i16; LANES / 2] =
+                        column[at..].first_chunk_mut().expect("room was made");
+                    *to = narrow(lanes);
+                }
+                len += kept.count_ones() as usize;
             }
         }
-        (best.0 > 0).then_some(best.1)
+        let kept = List { first, len };
+        for column in &mut self.offsets {
+            column[first + len..first + len + LANES].fill(FAR);
+        }
+        self.divide::<MODE>(kept, points, sums);
     }
 
-    /// No clip has a core: drop clips within others, then use the planes as they are, or halve the points at the median plane.
+    /// The points around which a cube already fills all of this one, for the cube that has most of them, or nearly so.
+    /// None when all have few.
+    #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
+    fn largest_core(&self, list: List, points: &Span) -> Option<Span> {
+        let zero = _mm256_setzero_si256();
+        let one = _mm256_set1_epi16(1);
+        let edge = _mm256_set1_epi16(lane(self.edge));
+        let low = points.min.map(|low| _mm256_set1_epi16(lane(low)));
+        let high = points.max.map(|high| _mm256_set1_epi16(lane(high)));
+        // As many points along an axis as there are fill the 16 bits of a lane, so that products of high halves compare.
+        let shift = [0, 1, 2].map(|axis| {
+            let count = points.max[axis] - points.min[axis] + 1;
+            _mm_setr_epi32(count.leading_zeros().cast_signed() - 16, 0, 0, 0)
+        });
+        let mut best = zero;
+        let mut best_chunk = zero;
+        let mut number = zero;
+        for chunk in list.chunks() {
+            let offsets = self.chunk(chunk);
+            let count = |axis: usize| {
+                // Inside a cube's ends, or on this cube's own face where the other ends there or beyond.
+                let offset = offsets[axis];
+                let first = _mm256_sub_epi16(offset, _mm256_cmpgt_epi16(offset, zero));
+                let first = _mm256_max_epi16(_mm256_max_epi16(first, zero), low[axis]);
+                let last = _mm256_adds_epi16(offset, _mm256_cmpgt_epi16(zero, offset));
+                let last = _mm256_add_epi16(_mm256_min_epi16(last, zero), edge);
+                let last = _mm256_min_epi16(last, high[axis]);
+                let count = _mm256_add_epi16(_mm256_sub_epi16(last, first), one);
+                _mm256_sll_epi16(_mm256_max_epi16(count, zero), shift[axis])
+            };
+            let share = _mm256_mulhi_epu16(_mm256_mulhi_epu16(count(0), count(1)), count(2));
+            let share = _mm256_srli_epi16::<1>(share);
+            let better = _mm256_cmpgt_epi16(share, best);
+            best = _mm256_max_epi16(best, share);
+            best_chunk = _mm256_blendv_epi8(best_chunk, number, better);
+            number = _mm256_add_epi16(number, one);
+        }
+        let (shares, chunks) = (rows_of(best), rows_of(best_chunk));
+        let lane = (0..LANES).max_by_key(|&lane| shares[lane])?;
+        if shares[lane] == 0 {
+            return None;
+        }
+        let index = list.first + LANES * usize::from(chunks[lane]) + lane;
+        let mut core = *points;
+        for (axis, column) in self.offsets.iter().enumerate() {
+            let offset = i32::from(column[index]);
+            let first = if offset > 0 { offset + 1 } else { 0 };
+            let last = self.edge + if offset < 0 { offset - 1 } else { 0 };
+            core.min[axis] = core.min[axis].max(first);
+            core.max[axis] = core.max[axis].min(last);
+        }
+        Some(core)
+    }
+
+    /// No cube has much of a core: drop clips within others, then use the planes as they are, or halve the points at the
+    /// median plane.
     #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
     fn divide_thin<const MODE: Mode>(
         &mut self,
-        first: usize,
-        points: Box16,
+        list: List,
+        points: &Span,
         sums: &mut [Sums<i128>; 3],
     ) {
-        self.drop_dominated(first);
-        if self.clips.len() - first <= const { leaf_clips::<MODE>() } {
-            let planes = self.planes::<MODE>(first, points);
-            return self.leaf::<MODE>(first, points, &planes, sums);
+        self.clip(list, points);
+        let list = self.drop_dominated(list);
+        let box16 = boxed(points);
+        if list.len <= const { leaf_clips::<MODE>() } {
+            let planes = self.planes::<MODE>(box16);
+            return self.leaf::<MODE>(box16, &planes, sums);
         }
-        let bound = unboxed(_mm_max_epi16(self.own, grown(points)));
+        let bound = unboxed(_mm_max_epi16(self.own, grown(box16)));
         let planes: [Vec<i32>; 3] = std::array::from_fn(|axis| {
-            let ends = self.clips[first..].iter().flat_map(|&clip| {
+            let ends = self.clips.iter().flat_map(|&clip| {
                 let clip = unboxed(clip);
                 [clip.min[axis], clip.max[axis]]
             });
@@ -320,36 +451,49 @@ impl FastKernel {
         let most = (0..3)
             .max_by_key(|&axis| planes[axis].len())
             .expect("there are three axes");
-        if planes[most].len() <= const { leaf_clips::<MODE>() } {
-            let mut boxes = [_mm_setzero_si128(); CELLS];
-            let (_, top) = ends(boxed(&bound));
-            for (index, to) in boxes.iter_mut().enumerate() {
-                let [x, y, z] = [0, 1, 2].map(|axis| {
-                    let plane = planes[axis].get(index).copied();
-                    lane(plane.unwrap_or(bound.max[axis]))
-                });
-                *to = _mm_setr_epi16(x, y, z, 0, 0, 0, 0, 0);
-            }
-            let count = planes[most].len();
-            debug_assert!(count <= LEAF_CLIPS_MAX, "{top:?}");
-            let planes = self.planes_from::<MODE>(boxes, count, points);
-            return self.leaf::<MODE>(first, points, &planes, sums);
+        let count = planes[most].len();
+        if count <= const { leaf_clips::<MODE>() } {
+            let plane = |index: usize, axis: usize| {
+                let plane: Option<&i32> = planes[axis].get(index);
+                lane(plane.copied().unwrap_or(bound.max[axis]))
+            };
+            let planes = std::array::from_fn(|index| {
+                let [x, y, z] = [0, 1, 2].map(|axis| plane(index, axis));
+                _mm_setr_epi16(x, y, z, 0, 0, 0, 0, 0)
+            });
+            let planes = self.planes_from::<MODE>(planes, count, box16);
+            return self.leaf::<MODE>(box16, &planes, sums);
         }
-        let median = planes[most][planes[most].len() / 2];
-        let (mut below, mut above) = (unboxed(points), unboxed(points));
+        let median = planes[most][count / 2];
+        let (mut below, mut above) = (*points, *points);
         below.max[most] = median - 1;
         above.min[most] = median;
-        self.descend::<MODE>(first, boxed(&below), sums);
-        self.descend::<MODE>(first, boxed(&above), sums);
+        self.descend::<MODE>(list, &below, sums);
+        self.descend::<MODE>(list, &above, sums);
     }
 
+    /// Cuts the cubes of a list to the cells next to the points.
     #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
-    fn drop_dominated(&mut self, first: usize) {
-        let mut kept = first;
-        for index in first..self.clips.len() {
+    fn clip(&mut self, list: List, points: &Span) {
+        let cells = grown(boxed(points));
+        let edge = _mm_setr_epi32(-self.edge, -self.edge, -self.edge, 0);
+        self.clips.clear();
+        let range = list.first..list.first + list.len;
+        let [x, y, z] = [0, 1, 2].map(|axis| self.offsets[axis][range.clone()].iter());
+        self.clips.extend(x.zip(y).zip(z).map(|((&x, &y), &z)| {
+            let low = _mm_setr_epi32(x.into(), y.into(), z.into(), 0);
+            _mm_max_epi16(_mm_packs_epi32(low, _mm_sub_epi32(edge, low)), cells)
+        }));
+    }
+
+    /// Drops clips within others, and their cubes from the list.
+    #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
+    fn drop_dominated(&mut self, list: List) -> List {
+        let mut kept = 0;
+        for index in 0..list.len {
             let clip = self.clips[index];
             // Of equal clips the first stays.
-            let dominated = self.clips[first..kept]
+            let dominated = self.clips[..kept]
                 .iter()
                 .any(|&other| contains(other, clip))
                 || self.clips[index + 1..]
@@ -357,27 +501,37 @@ impl FastKernel {
                     .any(|&other| contains(other, clip) && !contains(clip, other));
             if !dominated {
                 self.clips[kept] = clip;
+                for column in &mut self.offsets {
+                    column[list.first + kept] = column[list.first + index];
+                }
                 kept += 1;
             }
         }
         self.clips.truncate(kept);
+        let end = list.first + kept;
+        for column in &mut self.offsets {
+            column[end..end + LANES].fill(FAR);
+        }
+        List {
+            first: list.first,
+            len: kept,
+        }
     }
 
-    /// The planes of the clips from `first` on, at most [`leaf_clips`] of them.
+    /// The planes of the clips, at most [`leaf_clips`] of them.
     #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
-    fn planes<const MODE: Mode>(&self, first: usize, points: Box16) -> Planes {
+    fn planes<const MODE: Mode>(&self, points: Box16) -> Planes {
         let bound = _mm_max_epi16(self.own, grown(points));
         let (_, top) = ends(bound);
         let mut planes = [top; CELLS];
-        let clips = &self.clips[first..];
-        for (plane, &clip) in planes.iter_mut().zip(clips) {
+        for (plane, &clip) in planes.iter_mut().zip(&self.clips) {
             // A clip lies below its only plane or above it, because all cubes have one size.
             let inner = _mm_cmpgt_epi16(clip, bound);
             let (low, high) = ends(clip);
             let high = _mm_blendv_epi8(top, high, _mm_srli_si128::<8>(inner));
             *plane = _mm_blendv_epi8(high, low, inner);
         }
-        self.planes_from::<MODE>(planes, clips.len(), points)
+        self.planes_from::<MODE>(planes, self.clips.len(), points)
     }
 
     /// Puts planes in order: `count` of them, the rest equal to the top.
@@ -420,7 +574,6 @@ impl FastKernel {
     #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
     fn leaf<const MODE: Mode>(
         &mut self,
-        first: usize,
         points: Box16,
         planes: &Planes,
         sums: &mut [Sums<i128>; 3],
@@ -429,7 +582,7 @@ impl FastKernel {
         let mut before = [zero; CELLS + 1];
         let mut from = [zero; CELLS + 1];
         let mut up_to = [zero; CELLS + 1];
-        for &clip in &self.clips[first..] {
+        for &clip in &self.clips {
             let [x, y, z] = cells_of(clip, &planes.left, &planes.minus);
             let pattern = _mm256_and_si256(y, _mm256_set1_epi16(bits(x).cast_signed()));
             let layers = _mm256_movemask_epi8(z).cast_unsigned();
@@ -570,7 +723,8 @@ impl FastKernel {
                 _mm256_and_si256(dilated(near), within),
             );
             if _mm256_testz_si256(candidates, candidates) == 0 {
-                let rows = [lower.before, upper.before, lower.after, upper.after].map(rows_of);
+                let before = around(lower.before, upper.before);
+                let after = around(lower.after, upper.after);
                 let mut plane = [PlaneSums::default(); 3];
                 let height = i32::from(at[2][z]);
                 let candidates: [u64; 4] = [
@@ -585,8 +739,8 @@ impl FastKernel {
                         left &= left - 1;
                         let column = index % 16;
                         let row = 4 * four + (index / 16) as usize;
-                        let before = mask_at(&rows[0], &rows[1], row, column);
-                        let after = mask_at(&rows[2], &rows[3], row, column);
+                        let before = mask_at(&before, row, column);
+                        let after = mask_at(&after, row, column);
                         let point = Point::new(
                             i32::from(at[0][column as usize]),
                             i32::from(at[1][row]),
@@ -842,15 +996,34 @@ fn complement(union: &Sums<i128>, remaining: &mut Sums<i128>) {
     });
 }
 
-/// The octant mask at the point above cell (row, column) between two layers.
+/// For each row the four rows around its points: this and the next of the lower layer, then of the upper.
+#[target_feature(enable = "avx2")]
+#[inline]
+fn around(lower: Layer, upper: Layer) -> [[u64; 4]; 4] {
+    let (lower_next, upper_next) = (next_row(lower), next_row(upper));
+    let low = [
+        _mm256_unpacklo_epi16(lower, lower_next),
+        _mm256_unpackhi_epi16(lower, lower_next),
+    ];
+    let high = [
+        _mm256_unpacklo_epi16(upper, upper_next),
+        _mm256_unpackhi_epi16(upper, upper_next),
+    ];
+    [
+        words(_mm256_unpacklo_epi32(low[0], high[0])),
+        words(_mm256_unpackhi_epi32(low[0], high[0])),
+        words(_mm256_unpacklo_epi32(low[1], high[1])),
+        words(_mm256_unpackhi_epi32(low[1], high[1])),
+    ]
+}
+
+/// The octant mask at the point above cell (row, column), from the rows [`around`].
 #[target_feature(enable = "bmi2")]
 #[inline]
-fn mask_at(lower: &[u16; CELLS], upper: &[u16; CELLS], row: usize, column: u32) -> u8 {
-    let two = |rows: &[u16; CELLS]| {
-        u64::from(rows[row % CELLS]) | u64::from(rows[(row + 1) % CELLS]) << 16
-    };
-    let around = two(lower) | two(upper) << 32;
-    _pext_u64(around >> column, 0x0003_0003_0003_0003).to_le_bytes()[0]
+fn mask_at(around: &[[u64; 4]; 4], row: usize, column: u32) -> u8 {
+    // Interleaving works on each half of a register, so rows 0, 1, 8, 9 come first, then 2, 3, 10, 11, and so on.
+    let word = around[row / 2 % 4][row / 8 % 2 * 2 + row % 2];
+    _pext_u64(word >> column, 0x0003_0003_0003_0003).to_le_bytes()[0]
 }
 
 /// The box in a register; it fits [`Box16`] because every box is inside the frame.
@@ -936,14 +1109,39 @@ fn cells_of(clip: Box16, left: &[__m256i; 3], minus: &[__m256i; 3]) -> [__m256i;
     })
 }
 
+/// Lanes above the first bound and not above the second, on all axes.
+#[target_feature(enable = "avx2")]
+#[inline]
+fn between(offsets: &[__m256i; 3], bounds: &[[__m256i; 3]; 2]) -> __m256i {
+    let [x, y, z] = [0, 1, 2].map(|axis| {
+        _mm256_andnot_si256(
+            _mm256_cmpgt_epi16(offsets[axis], bounds[1][axis]),
+            _mm256_cmpgt_epi16(offsets[axis], bounds[0][axis]),
+        )
+    });
+    _mm256_and_si256(_mm256_and_si256(x, y), z)
+}
+
+#[target_feature(enable = "avx2")]
+#[inline]
+fn chunk_of(column: &[i16], first: usize) -> __m256i {
+    chunk(*column[first..].first_chunk().expect("a list is padded"))
+}
+
+#[target_feature(enable = "avx2")]
+#[inline]
+fn halves(lanes: __m256i) -> (__m128i, __m128i) {
+    (
+        _mm256_castsi256_si128(lanes),
+        _mm256_extracti128_si256::<1>(lanes),
+    )
+}
+
 /// A bit for each lane that is set.
 #[target_feature(enable = "avx2")]
 #[inline]
 fn bits(lanes: __m256i) -> u16 {
-    let (low, high) = (
-        _mm256_castsi256_si128(lanes),
-        _mm256_extracti128_si256::<1>(lanes),
-    );
+    let (low, high) = halves(lanes);
     let bits = _mm_movemask_epi8(_mm_packs_epi16(low, high));
     u16::try_from(bits).expect("sixteen lanes")
 }
@@ -1055,6 +1253,9 @@ macro_rules! recast {
 recast! {
     rows_of: __m256i => [u16; 16];
     lanes32: __m256i => [i32; 8];
+    words: __m256i => [u64; 4];
+    chunk: [i16; 16] => __m256i;
+    narrow: __m128i => [i16; 8];
     eight: [i32; 8] => __m256i;
     four: [i32; 4] => __m128i;
     sixteen: [u8; 16] => __m128i;
