@@ -23,6 +23,9 @@
     reason = "what is inlined into a leaf is compiled for the leaf's instructions; left as a call it would not be"
 )]
 
+#[cfg(target_arch = "x86_64")]
+mod avx2;
+
 use ethnum::I256;
 
 use crate::geometry::{Bounds, Edge, Measures, Place, Stock, StockMeasures, WEIGHTS};
@@ -67,6 +70,9 @@ pub(super) struct Kernel {
     /// The cells that hold material, cut to the frame of `own`: all of them where no face of the stock is near.
     material: Span,
     wide: bool,
+    /// The same in vectors, when the processor has them and the edge fits their lanes.
+    #[cfg(target_arch = "x86_64")]
+    fast: Option<avx2::FastKernel>,
     /// Whether the processor has what `leaf_avx2` was compiled for.
     avx2: bool,
     /// A stack of clips: each level of the division works on the end of it.
@@ -86,6 +92,8 @@ impl Kernel {
             own: nowhere,
             material: nowhere,
             wide: edge > NARROW_EDGE_MAX,
+            #[cfg(target_arch = "x86_64")]
+            fast: (avx2() && edge <= avx2::EDGE_MAX).then(|| avx2::FastKernel::new(edge)),
             avx2: avx2(),
             clips: Vec::new(),
             uncovered: Vec::new(),
@@ -97,6 +105,8 @@ impl Kernel {
     pub(super) fn plain(edge: Edge) -> Self {
         Self {
             wide: true,
+            #[cfg(target_arch = "x86_64")]
+            fast: None,
             avx2: false,
             ..Self::new(edge)
         }
@@ -130,6 +140,10 @@ impl Kernel {
     }
 
     fn difference(&mut self, place: Place, neighbours: &Neighbours) -> Option<Difference> {
+        #[cfg(target_arch = "x86_64")]
+        if self.fast.is_some() {
+            return self.fast_difference(place, neighbours);
+        }
         self.uncovered.clear();
         if neighbours.iter().any(|offset| offset == [0; 3]) {
             return None;
@@ -140,13 +154,7 @@ impl Kernel {
             let [union] = self.sums(place, neighbours, cube, frame)?;
             return Some(Difference { union, stock: None });
         };
-        let corner = place.corner();
-        // Saturated far away: only what is near the cube matters.
-        let local = |from: [i32; 3]| [0, 1, 2].map(|axis| from[axis].saturating_sub(corner[axis]));
-        let stock = Span {
-            min: local(stock.min),
-            max: local(stock.max),
-        };
+        let stock = local(&stock, place);
         if stock.contains(&frame) {
             // No face of the stock is near: what comes to the union comes to what is removed.
             let [union, remaining] = self.sums(place, neighbours, cube, frame)?;
@@ -165,6 +173,44 @@ impl Kernel {
         };
         let [removed, remaining] = parts.unwrap_or_default();
         let stock = Some(StockMeasures { removed, remaining });
+        Some(Difference { union, stock })
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    fn fast_difference(&mut self, place: Place, neighbours: &Neighbours) -> Option<Difference> {
+        use avx2::{ACROSS, INSIDE, UNION};
+        let fast = self.fast.as_mut()?;
+        let cube = Span::cube([0; 3], self.edge);
+        let stock = self.stock.map(|stock| local(&stock, place));
+        let near = stock.unwrap_or(cube);
+        let inside = stock.is_some() && near.contains(&cube.grown());
+        let across = stock.is_some() && !inside && cube.clamped(&near).is_solid();
+        #[expect(
+            unsafe_code,
+            reason = "compiled for instructions that were detected when `fast` was made"
+        )]
+        // SAFETY: `fast` is there only when the processor was found to have every feature these functions enable.
+        let sums = unsafe {
+            if inside {
+                fast.difference::<INSIDE>(neighbours, &near, self.collect)
+            } else if across {
+                fast.difference::<ACROSS>(neighbours, &near, self.collect)
+            } else {
+                fast.difference::<UNION>(neighbours, &near, self.collect)
+            }
+        };
+        std::mem::swap(&mut self.uncovered, &mut fast.uncovered);
+        let [union, removed, remaining] = sums?;
+        let corner = place.corner();
+        let union = union.translated::<i128>(corner);
+        let stock = stock.map(|_| StockMeasures {
+            removed: if inside {
+                union
+            } else {
+                removed.translated::<i128>(corner)
+            },
+            remaining: remaining.translated::<i128>(corner),
+        });
         Some(Difference { union, stock })
     }
 
@@ -530,6 +576,16 @@ impl Kernel {
             }
         }
         self.uncovered.push(span);
+    }
+}
+
+/// A box in coordinates local to the cube at `place`; saturated far away, since only what is near the cube matters.
+fn local(bounds: &Bounds, place: Place) -> Span {
+    let corner = place.corner();
+    let local = |from: [i32; 3]| [0, 1, 2].map(|axis| from[axis].saturating_sub(corner[axis]));
+    Span {
+        min: local(bounds.min),
+        max: local(bounds.max),
     }
 }
 
