@@ -99,11 +99,11 @@ static PACKING: [[u8; 16]; 256] = {
     let mut table = [[0; 16]; 256];
     let mut kept = 0;
     while kept < 256 {
-        let (mut lane, mut to) = (0, 0);
+        let (mut lane, mut to) = (0_u8, 0);
         while lane < 8 {
             if kept >> lane & 1 == 1 {
-                table[kept][2 * to] = 2 * lane as u8;
-                table[kept][2 * to + 1] = 2 * lane as u8 + 1;
+                table[kept][2 * to] = 2 * lane;
+                table[kept][2 * to + 1] = 2 * lane + 1;
                 to += 1;
             }
             lane += 1;
@@ -391,10 +391,10 @@ impl FastKernel {
         for (axis, column) in self.offsets.iter().enumerate() {
             // Inside a cube's ends, or on this cube's own face where the other ends there or beyond.
             let offset = i32::from(column[index]);
-            let first = if offset > 0 { offset + 1 } else { 0 };
-            let last = self.edge + if offset < 0 { offset - 1 } else { 0 };
-            core.min[axis] = core.min[axis].max(first);
-            core.max[axis] = core.max[axis].min(last);
+            let low = if offset > 0 { offset + 1 } else { 0 };
+            let high = self.edge + if offset < 0 { offset - 1 } else { 0 };
+            core.min[axis] = core.min[axis].max(low);
+            core.max[axis] = core.max[axis].min(high);
         }
         Some(core)
     }
@@ -423,12 +423,12 @@ impl FastKernel {
             let count = |axis: usize| {
                 let offset = offsets[axis];
                 let count = if WHAT == CORE {
-                    let first = _mm256_sub_epi16(offset, _mm256_cmpgt_epi16(offset, zero));
-                    let first = _mm256_max_epi16(_mm256_max_epi16(first, zero), low[axis]);
-                    let last = _mm256_adds_epi16(offset, _mm256_cmpgt_epi16(zero, offset));
-                    let last = _mm256_add_epi16(_mm256_min_epi16(last, zero), edge);
-                    let last = _mm256_min_epi16(last, high[axis]);
-                    _mm256_add_epi16(_mm256_sub_epi16(last, first), one)
+                    let from = _mm256_sub_epi16(offset, _mm256_cmpgt_epi16(offset, zero));
+                    let from = _mm256_max_epi16(_mm256_max_epi16(from, zero), low[axis]);
+                    let up_to = _mm256_adds_epi16(offset, _mm256_cmpgt_epi16(zero, offset));
+                    let up_to = _mm256_add_epi16(_mm256_min_epi16(up_to, zero), edge);
+                    let up_to = _mm256_min_epi16(up_to, high[axis]);
+                    _mm256_add_epi16(_mm256_sub_epi16(up_to, from), one)
                 } else {
                     let end = _mm256_min_epi16(_mm256_adds_epi16(offset, edge), high[axis]);
                     _mm256_sub_epi16(end, _mm256_max_epi16(offset, low[axis]))
@@ -725,7 +725,7 @@ impl FastKernel {
             let pattern = _mm256_and_si256(y, _mm256_set1_epi16(bits(x).cast_signed()));
             let layers = _mm256_movemask_epi8(z).cast_unsigned();
             let begin = (layers.trailing_zeros() / 2) as usize;
-            let last = ((31 - layers.leading_zeros()) / 2) as usize;
+            let last = (layers.ilog2() / 2) as usize;
             if begin == 0 {
                 up_to[last] = _mm256_or_si256(up_to[last], pattern);
             } else if last == CELLS - 1 {
@@ -786,12 +786,9 @@ impl FastKernel {
             min: [0; 3],
             max: [0; 3],
         };
-        for axis in 0..3 {
+        for (axis, used) in used.into_iter().enumerate() {
             let (left, right) = (rows_of(planes.left[axis]), rows_of(planes.right[axis]));
-            let (begin, last) = (
-                used[axis].trailing_zeros() as usize,
-                used[axis].ilog2() as usize,
-            );
+            let (begin, last) = (used.trailing_zeros() as usize, used.ilog2() as usize);
             span.min[axis] = i32::from(left[begin].cast_signed());
             span.max[axis] = i32::from(right[last].cast_signed());
         }
@@ -808,7 +805,6 @@ impl FastKernel {
         newly: &[Layer; CELLS + 1],
         sums: &mut [Sums<i128>; 3],
     ) {
-        let zero = _mm256_setzero_si256();
         let at = [
             signed_rows_of(planes.right[0]),
             signed_rows_of(planes.right[1]),
@@ -838,26 +834,8 @@ impl FastKernel {
                 lower = upper;
                 continue;
             }
-            let varies_x = _mm256_or_si256(lower.varies_x, upper.varies_x);
-            let varies_y = _mm256_or_si256(lower.varies_y, upper.varies_y);
-            let varies_z = _mm256_or_si256(
-                _mm256_xor_si256(lower.before, upper.before),
-                _mm256_xor_si256(lower.after, upper.after),
-            );
-            let mut x = _mm256_or_si256(varies_x, next_row(varies_x));
-            let mut y = _mm256_or_si256(varies_y, next_column(varies_y));
-            let mut z_too = dilated(varies_z);
-            if MODE == ACROSS {
-                x = _mm256_or_si256(x, material.varies_x);
-                y = _mm256_or_si256(y, material.varies_y);
-                if material.varies_z >> (2 * z) & 1 == 1 {
-                    z_too = _mm256_cmpeq_epi16(zero, zero);
-                }
-            }
-            let candidates = _mm256_and_si256(
-                _mm256_and_si256(_mm256_and_si256(x, y), z_too),
-                _mm256_and_si256(dilated(near), valid),
-            );
+            let mut candidates = Shape::vertices::<MODE>(&lower, &upper, &material, z);
+            candidates = _mm256_and_si256(candidates, _mm256_and_si256(dilated(near), valid));
             if _mm256_testz_si256(candidates, candidates) == 0 {
                 let before = around(lower.before, upper.before);
                 let after = around(lower.after, upper.after);
@@ -949,13 +927,41 @@ impl Shape {
     }
 }
 
+impl Shape {
+    /// Points above plane `z` at which the mask may vary along all three axes, before or after.
+    #[target_feature(enable = "avx2")]
+    #[inline]
+    fn vertices<const MODE: Mode>(
+        lower: &Self,
+        upper: &Self,
+        material: &Material,
+        z: usize,
+    ) -> Layer {
+        let varies_x = _mm256_or_si256(lower.varies_x, upper.varies_x);
+        let varies_y = _mm256_or_si256(lower.varies_y, upper.varies_y);
+        let varies_z = _mm256_or_si256(
+            _mm256_xor_si256(lower.before, upper.before),
+            _mm256_xor_si256(lower.after, upper.after),
+        );
+        let mut along_x = _mm256_or_si256(varies_x, next_row(varies_x));
+        let mut along_y = _mm256_or_si256(varies_y, next_column(varies_y));
+        let mut along_z = dilated(varies_z);
+        if MODE == ACROSS {
+            along_x = _mm256_or_si256(along_x, material.varies_x);
+            along_y = _mm256_or_si256(along_y, material.varies_y);
+            along_z = _mm256_or_si256(along_z, material.varies_z[z]);
+        }
+        _mm256_and_si256(_mm256_and_si256(along_x, along_y), along_z)
+    }
+}
+
 /// Which octants around a point hold material of the stock: what holds for each of its coordinates.
 struct Material {
     octants: [[u16; CELLS]; 3],
     varies_x: Layer,
     varies_y: Layer,
-    /// Two bits a plane.
-    varies_z: u32,
+    /// By plane: all points or none.
+    varies_z: [Layer; CELLS],
 }
 
 /// Octants below and above, by axis.
@@ -969,7 +975,7 @@ impl Material {
             octants: [[0; CELLS]; 3],
             varies_x: _mm256_setzero_si256(),
             varies_y: _mm256_setzero_si256(),
-            varies_z: 0,
+            varies_z: [_mm256_setzero_si256(); CELLS],
         }
     }
 
@@ -989,7 +995,7 @@ impl Material {
             octants,
             varies_x: _mm256_set1_epi16(bits(x).cast_signed()),
             varies_y: y,
-            varies_z: _mm256_movemask_epi8(z).cast_unsigned(),
+            varies_z: rows_of(z).map(|all| _mm256_set1_epi16(all.cast_signed())),
         }
     }
 
@@ -1166,9 +1172,8 @@ fn mask_at(around: &[[u64; 4]; 4], row: usize, column: u32) -> u8 {
 #[target_feature(enable = "avx2")]
 #[inline]
 fn boxed(span: &Span) -> Box16 {
-    let [x, y, z] = span.min.map(lane);
-    let [u, v, w] = span.max.map(|high| lane(-high));
-    _mm_setr_epi16(x, y, z, 0, u, v, w, 0)
+    let (low, high) = (span.min.map(lane), span.max.map(|high| lane(-high)));
+    _mm_setr_epi16(low[0], low[1], low[2], 0, high[0], high[1], high[2], 0)
 }
 
 #[inline]
@@ -1225,8 +1230,9 @@ fn cells_of(clip: Box16, left: &[__m256i; 3], minus: &[__m256i; 3]) -> [__m256i;
         let mut bytes = [0; 16];
         let mut index = 0;
         while index < 16 {
-            bytes[index] = 2 * lane + (index & 1) as u8;
-            index += 1;
+            bytes[index] = 2 * lane;
+            bytes[index + 1] = 2 * lane + 1;
+            index += 2;
         }
         bytes
     }
