@@ -13,7 +13,7 @@ use serde::Deserialize;
 use serde::de::{DeserializeSeed, Deserializer, Error, MapAccess, SeqAccess, Visitor};
 use serde_json::value::RawValue;
 
-use super::convert::{Settings, WantedSettings};
+use super::convert::{Anchor, Rounding, Settings, WantedSettings};
 use super::problem::{Code, Fault, Faults, Problem};
 use super::proto;
 use crate::engine::Op;
@@ -149,11 +149,21 @@ pub fn line(text: &[u8], settings: &Settings) -> Result<Op, Problem> {
     }
 }
 
-/// Reads an atomic change from the message `union3d.v1.Change`.
+/// Reads an atomic change from a body that is a message `union3d.v1.Change`.
 /// # Errors
 /// [`Code::BadProtobuf`], [`Code::TooLarge`] above `cubes_max`, or [`Code::Invalid`] with every fault.
-pub fn message(body: &[u8], settings: &Settings, cubes_max: usize) -> Result<Decoded, Problem> {
-    let message = decoded(body)?;
+pub fn body(body: &[u8], settings: &Settings, cubes_max: usize) -> Result<Decoded, Problem> {
+    message(&decoded(body)?, settings, cubes_max)
+}
+
+/// Reads an atomic change from a message.
+/// # Errors
+/// [`Code::TooLarge`] above `cubes_max`, or [`Code::Invalid`] with every fault.
+pub fn message(
+    message: &proto::Change,
+    settings: &Settings,
+    cubes_max: usize,
+) -> Result<Decoded, Problem> {
     let count = message.x.len();
     if message.delete.len().saturating_add(count) > cubes_max {
         return Err(too_many(cubes_max));
@@ -211,8 +221,7 @@ pub fn message(body: &[u8], settings: &Settings, cubes_max: usize) -> Result<Dec
 /// Looks for ids that stand at two places of a message.
 /// # Errors
 /// [`Code::Invalid`] with all of them.
-pub fn message_duplicates(body: &[u8]) -> Result<(), Problem> {
-    let message = decoded(body)?;
+pub fn message_duplicates(message: &proto::Change) -> Result<(), Problem> {
     let mut faults = Faults::default();
     let mut seen = HashMap::new();
     let corners = message.x.iter().zip(&message.y).zip(&message.z);
@@ -233,6 +242,13 @@ pub fn message_duplicates(body: &[u8]) -> Result<(), Problem> {
         return Ok(());
     }
     Err(faults.into_problem())
+}
+
+/// As [`message_duplicates`], of a body.
+/// # Errors
+/// As [`message_duplicates`].
+pub fn body_duplicates(body: &[u8]) -> Result<(), Problem> {
+    message_duplicates(&decoded(body)?)
 }
 
 fn decoded(body: &[u8]) -> Result<proto::Change, Problem> {
@@ -276,6 +292,15 @@ pub fn settings(body: &[u8]) -> Result<Settings, Problem> {
     read.take("rounding", &mut wanted.rounding, |raw| {
         typed(raw, "is neither \"nearest\" nor \"reject\"")
     });
+    checked(wanted, faults, |field| members.get(field))
+}
+
+/// Settings without a fault besides `faults`, which came before; `sent` is what a field was.
+fn checked<'a>(
+    wanted: WantedSettings,
+    mut faults: Faults,
+    sent: impl Fn(&str) -> Option<&'a RawValue>,
+) -> Result<Settings, Problem> {
     match Settings::check(wanted) {
         Ok(settings) if faults.is_empty() => return Ok(settings),
         Ok(_) => {}
@@ -284,13 +309,50 @@ pub fn settings(body: &[u8]) -> Result<Settings, Problem> {
                 // A field that could not be read has its fault already; a default stood in for it.
                 let pointer = format!("/{}", invalid.field());
                 if !faults.names(&pointer) {
-                    let raw = members.get(invalid.field());
+                    let raw = sent(invalid.field());
                     faults.push(Fault::at(pointer, invalid.to_string(), raw));
                 }
             }
         }
     }
     Err(faults.into_problem())
+}
+
+/// Reads the settings of a scene from a message.
+/// # Errors
+/// [`Code::Invalid`] with every fault.
+pub fn settings_message(message: &proto::SceneSettings) -> Result<Settings, Problem> {
+    let mut faults = Faults::default();
+    let mut unknown = |name: &str, value: i32| {
+        let fault = Fault::at(
+            format!("/{name}"),
+            "is not a value that is known here",
+            None,
+        );
+        faults.push(Fault {
+            value: Some(value.into()),
+            ..fault
+        });
+    };
+    let mut wanted = WantedSettings::with_edge(message.edge);
+    wanted.steps_per_unit = message
+        .steps_per_unit
+        .map_or(wanted.steps_per_unit, f64::from);
+    wanted.unit = message.unit.clone().unwrap_or(wanted.unit);
+    wanted.density = message.density.unwrap_or(wanted.density);
+    match proto::Anchor::try_from(message.anchor) {
+        Ok(proto::Anchor::Unspecified) => {}
+        Ok(proto::Anchor::Corner) => wanted.anchor = Anchor::Corner,
+        Ok(proto::Anchor::Center) => wanted.anchor = Anchor::Center,
+        Err(_) => unknown("anchor", message.anchor),
+    }
+    match proto::Rounding::try_from(message.rounding) {
+        Ok(proto::Rounding::Unspecified) => {}
+        Ok(proto::Rounding::Nearest) => wanted.rounding = Rounding::Nearest,
+        Ok(proto::Rounding::Reject) => wanted.rounding = Rounding::Reject,
+        Err(_) => unknown("rounding", message.rounding),
+    }
+    checked(wanted, faults, |_| None)
 }
 
 /// Reads what to go back to: `{"to":3}`.
@@ -1062,7 +1124,7 @@ mod tests {
         let read =
             |message: &proto::Change| outcome(message_change(&message.encode_to_vec(), &settings));
         fn message_change(body: &[u8], settings: &Settings) -> Result<Decoded, Problem> {
-            message(body, settings, 5)
+            super::body(body, settings, 5)
         }
         let mut message = proto::Change {
             delete: vec![1],
@@ -1084,7 +1146,7 @@ mod tests {
         assert_eq!(outcome(message_change(b"\xff\xff", &settings)), "400");
         message.insert_id = vec![7, 7, 7];
         (message.x, message.y, message.z) = (vec![0, 0, 1], vec![0; 3], vec![0; 3]);
-        let problem = message_duplicates(&message.encode_to_vec()).unwrap_err();
+        let problem = message_duplicates(&message).unwrap_err();
         assert_eq!(document(problem)["errors"][0]["pointer"], "/insert_id/2");
     }
 

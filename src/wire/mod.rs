@@ -7,6 +7,8 @@
 //! ```
 //! Knows HTTP, JSON, protobuf and user units. Never keeps state of a scene, and never touches its files.
 
+mod atomic;
+mod calls;
 pub mod convert;
 pub mod decode;
 pub mod http;

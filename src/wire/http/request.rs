@@ -14,6 +14,7 @@ use futures_util::StreamExt;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use super::Limits;
+use crate::wire::calls;
 use crate::wire::problem::{Code, Fault, Faults, Problem};
 
 /// Parameters of the path.
@@ -186,15 +187,11 @@ pub(super) fn idempotency_key(headers: &HeaderMap) -> Result<Option<Box<str>>, P
     let Some(value) = values.next() else {
         return Ok(None);
     };
-    let text = value.to_str().unwrap_or_default();
-    let visible = text.bytes().all(|byte| byte.is_ascii_graphic());
-    if values.next().is_none() && visible && (1..=64).contains(&text.len()) {
-        Ok(Some(text.into()))
-    } else {
+    if values.next().is_some() {
         let sent = String::from_utf8_lossy(value.as_bytes());
-        let detail = "is not one key of 1 to 64 visible ASCII characters";
-        Err(Fault::in_parameter(NAME, detail, &sent).into())
+        return Err(Fault::in_parameter(NAME, "stands twice", &sent).into());
     }
+    calls::idempotency_key(value.as_bytes()).map(Some)
 }
 
 /// Bodies below this are read whenever they come, however many.
