@@ -346,6 +346,8 @@ impl From<ServiceError> for Problem {
             ServiceError::SeqNotReached { newest, .. } => {
                 problem(Code::SeqNotReached).with("newest", newest.0)
             }
+            // Never shown: a stream ends with the refusal that broke its chain.
+            ServiceError::Abandoned => problem(Code::Internal),
             ServiceError::ShuttingDown => problem(Code::ShuttingDown),
             ServiceError::Storage { cause, full } => problem(if full {
                 Code::DiskFull
