@@ -1,5 +1,7 @@
 //! What a call does between its decoding and its answer, the same over HTTP and gRPC.
 
+use std::any::Any;
+use std::future::Future;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -166,4 +168,27 @@ pub(super) async fn audit(scene: &Scene, settings: &Settings) -> Result<(Seq, u6
         .with("seq", seq)
         .with("kept", shown(&audit.kept))
         .with("recounted", shown(&audit.recounted)))
+}
+
+/// Answers after `time` at the latest.
+pub(super) async fn within<T>(
+    time: Duration,
+    work: impl Future<Output = Result<T, Problem>>,
+) -> Result<T, Problem> {
+    let Ok(done) = tokio::time::timeout(time, work).await else {
+        let detail = format!("there was no answer within {} s", time.as_secs_f64());
+        return Err(Problem::new(Code::AnswerTimeout, detail));
+    };
+    done
+}
+
+/// The problem of a handler that panicked.
+pub(super) fn panicked(cause: &(dyn Any + Send)) -> Problem {
+    let text = cause
+        .downcast_ref::<String>()
+        .map(String::as_str)
+        .or_else(|| cause.downcast_ref::<&str>().copied());
+    tracing::error!(cause = text.unwrap_or("unknown"), "a handler panicked");
+    let detail = "the server's log has the cause, by the request's id";
+    Problem::new(Code::Internal, detail)
 }

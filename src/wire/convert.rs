@@ -523,6 +523,11 @@ pub struct MassProperties {
     pub exact: Exact,
 }
 
+/// The volume alone, in user units cubed.
+pub fn volume(measures: &Measures, settings: &Settings) -> f64 {
+    float(measures.volume) / settings.scale(3)
+}
+
 /// The mass properties as every answer and every command shows them.
 pub fn mass_properties(
     scene: Option<&str>,
@@ -531,7 +536,7 @@ pub fn mass_properties(
     settings: &Settings,
 ) -> MassProperties {
     let measures = &totals.measures;
-    let volume = float(measures.volume) / settings.scale(3);
+    let volume = volume(measures, settings);
     let length = |steps: i128| float(steps) / settings.scale(1);
     let [convex, concave, crossing] = [EdgeKind::Convex, EdgeKind::Concave, EdgeKind::Crossing]
         .map(|kind| measures.edge_length_of(kind));

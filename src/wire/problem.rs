@@ -305,6 +305,21 @@ impl Problem {
     pub fn code(&self) -> Code {
         self.0.code
     }
+
+    /// What is particular to this occurrence.
+    pub fn detail(&self) -> &str {
+        &self.0.detail
+    }
+
+    /// What is wrong in the request, place by place.
+    pub fn faults(&self) -> &[Fault] {
+        &self.0.faults
+    }
+
+    /// Extension members.
+    pub fn members(&self) -> &Map<String, Value> {
+        &self.0.members
+    }
 }
 
 impl From<ServiceError> for Problem {

@@ -8,7 +8,7 @@ use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::request::{self, BodyType, Parameters, Path, body_type, idempotency_key, within};
+use super::request::{self, BodyType, Parameters, Path, body_type, idempotency_key};
 use super::{App, ndjson, scenes};
 use crate::engine::{Counts, Op};
 use crate::geometry::CubeId;
@@ -164,7 +164,7 @@ pub(super) async fn post_changes(
     };
     let (time, cubes_max) = (app.limits.request_timeout, app.limits.change_cubes_max);
     let change = Atomic::new(scene, settings, sent, cubes_max);
-    let applied = within(time, change.apply(key)).await?;
+    let applied = calls::within(time, change.apply(key)).await?;
     Ok(applied_answer(
         &change.scene,
         &change.settings,

@@ -1,7 +1,6 @@
 //! What a request says outside its body, and the reading of bodies: everything checked, every failure a problem.
 
 use std::borrow::Cow;
-use std::future::Future;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -280,16 +279,4 @@ pub(super) fn broken(error: &axum::Error) -> Problem {
 pub(super) fn slow_request(waited: Duration) -> Problem {
     let detail = format!("the server waited {} s for the body", waited.as_secs_f64());
     Problem::new(Code::RequestTimeout, detail)
-}
-
-/// Answers after `time` at the latest.
-pub(super) async fn within<T>(
-    time: Duration,
-    work: impl Future<Output = Result<T, Problem>>,
-) -> Result<T, Problem> {
-    let Ok(done) = tokio::time::timeout(time, work).await else {
-        let detail = format!("there was no answer within {} s", time.as_secs_f64());
-        return Err(Problem::new(Code::AnswerTimeout, detail));
-    };
-    done
 }
