@@ -15,7 +15,9 @@ use super::request::{self, BodyType, Parameters, Path, Whole, body_type, idempot
 use super::{App, ndjson, scenes};
 use crate::engine::{Counts, Op, Rejected};
 use crate::geometry::CubeId;
-use crate::service::{Applied, Counting, Operations, Published, Scene, ServiceError, Submission};
+use crate::service::{
+    Applied, Counting, Motion, Operations, Published, Scene, ServiceError, Submission,
+};
 use crate::wire::convert::{MassProperties, Settings, mass_properties};
 use crate::wire::decode::{self, Decoded};
 use crate::wire::problem::{Code, Fault, Problem};
@@ -114,7 +116,8 @@ fn applied_answer(
 /// `application/json` and `application/x-protobuf` (the message `union3d.v1.Change`) are one atomic change: deletions first, all or
 /// nothing. Inserting an id that is there at the same place, or deleting one that is not there, changes nothing and counts as
 /// `unchanged`, so a retry is safe. Ids may be left out of all cubes: then the server numbers them, and an `Idempotency-Key`
-/// makes a retry safe.
+/// makes a retry safe. `move` and `duration` say which movement of a machine the change belongs to and how many seconds it took: they
+/// stand in the history, and a change that has one takes a seq even when it changes no cube (nothing was cut, but time passed).
 ///
 /// `application/x-ndjson` is a stream of any length, a line an operation. Lines act in their order and are committed as they
 /// arrive; the answer comes at the end and adds them up. At a bad line it stops: all lines before it are committed.
@@ -212,6 +215,7 @@ pub(super) async fn post_revert(
     let submission = Submission {
         operations: Operations::Revert(to),
         counting: Counting::Net,
+        motion: Motion::default(),
         key: key.map(|key| (key, digest())),
     };
     let applied = scene.change(submission).await?;
@@ -241,6 +245,7 @@ pub(super) async fn delete_cube(
     let submission = Submission {
         operations: Operations::Named(vec![Op::Delete(id)]),
         counting: Counting::Net,
+        motion: Motion::default(),
         key: None,
     };
     let Applied {
@@ -279,6 +284,7 @@ impl Atomic {
         let submission = Submission {
             operations: decoded.operations,
             counting: Counting::Net,
+            motion: decoded.motion,
             key,
         };
         match self.scene.change(submission).await {

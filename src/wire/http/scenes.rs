@@ -139,7 +139,7 @@ pub(super) async fn put_scene(
     let settings = decode::settings(&body.bytes)?;
     let (scene, new) = app
         .service
-        .create(&name, settings.edge(), &settings.text())
+        .create(&name, settings.edge(), settings.stock(), &settings.text())
         .await?;
     let status = if new {
         StatusCode::CREATED
