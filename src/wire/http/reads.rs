@@ -336,7 +336,7 @@ pub(super) async fn get_history(
         let mut link = format!("/v1/scenes/{name}/history?from={next}&to={}", rows.to);
         for (parameter, number) in [("move_from", move_from), ("move_to", move_to)] {
             if let Some(number) = number {
-                link += &format!("&{parameter}={number}");
+                write!(link, "&{parameter}={number}").expect("a String takes everything");
             }
         }
         link + &format!("&limit={limit}")
