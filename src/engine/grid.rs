@@ -41,7 +41,7 @@ const SHIFT_MAX: u32 = 30;
 const SHIFT_ABOVE_EDGE: u32 = 2;
 
 /// Bins that a query looks for at the same time.
-const BINS_AT_ONCE: usize = 32;
+const BINS_AT_ONCE: usize = 8;
 
 impl Grid {
     /// A grid for queries that reach an edge to both sides. Crowded bins become as narrow as one or two edges: a query
@@ -228,10 +228,10 @@ impl Grid {
         if self.len == 0 {
             return None;
         }
-        let ends = self.extents.ends(&self.bins);
+        let [min, max] = self.extents.ends(&self.bins);
         Some(Bounds {
-            min: ends.map(|[least, _]| least),
-            max: ends.map(|[_, greatest]| greatest + self.edge),
+            min,
+            max: max.map(|greatest| greatest + self.edge),
         })
     }
 
