@@ -96,6 +96,11 @@ impl Certificates {
         }
     }
 
+    /// Whether certificates are kept at the moment.
+    pub(super) fn are_kept(&self) -> bool {
+        self.state == State::Kept
+    }
+
     /// Certifies the cells inside a cube that is visible.
     pub(super) fn certify(&mut self, place: Place) {
         if self.state != State::Kept {

@@ -15,6 +15,7 @@
 //! are those of [`recount`].
 
 mod audit;
+mod batch;
 mod bins;
 mod certificates;
 mod extents;
@@ -25,11 +26,14 @@ mod neighbours;
 mod scan;
 
 use std::collections::HashMap;
+use std::num::NonZero;
 use std::ops::ControlFlow;
+use std::thread::available_parallelism;
 
 use crate::geometry::{CUBES_MAX, CubeId, Edge, Effect, Place, Stock, Totals};
 
 pub use audit::recount;
+use batch::{BATCH_MIN, Helper};
 use certificates::Certificates;
 use grid::Grid;
 use ids::IdTable;
@@ -129,6 +133,8 @@ pub struct Engine {
     certificates: Certificates,
     totals: Totals,
     work: Work,
+    threads: usize,
+    helpers: Vec<Helper>,
 }
 
 /// Memory that one operation after the other uses.
@@ -194,7 +200,16 @@ impl Engine {
                 neighbours: Neighbours::new(),
                 uncovered: Vec::new(),
             },
+            threads: available_parallelism().map_or(1, NonZero::get),
+            helpers: Vec::new(),
         }
+    }
+
+    /// The same with so many threads for a large batch, instead of as many as there are processors: the same totals.
+    #[must_use]
+    pub fn with_threads(mut self, threads: NonZero<usize>) -> Self {
+        self.threads = threads.get();
+        self
     }
 
     /// The same, cut from a stock: for an engine that has no cubes yet.
@@ -322,11 +337,19 @@ impl Engine {
     /// [`Inconsistent`] when the effect does not fit; then nothing has changed.
     pub fn apply(&mut self, effect: &Effect) -> Result<(), Inconsistent> {
         self.apply_ids(effect)?;
-        for &(id, place) in &effect.deleted {
-            self.delete(id, place);
+        if effect.deleted.len() < BATCH_MIN {
+            for &(id, place) in &effect.deleted {
+                self.delete(id, place);
+            }
+        } else {
+            self.delete_batch(&effect.deleted);
         }
-        for &(id, place) in &effect.inserted {
-            self.insert(id, place);
+        if effect.inserted.len() < BATCH_MIN {
+            for &(id, place) in &effect.inserted {
+                self.insert(id, place);
+            }
+        } else {
+            self.insert_batch(&effect.inserted);
         }
         self.totals.cubes = self.len();
         self.totals.bounds = self.visible.bounds();
@@ -416,13 +439,7 @@ impl Engine {
         if self.hidden.remove(place, id) {
             return;
         }
-        // Another cube at the very same place takes over: the union stays.
-        if let Some(twin) = self.hidden.at(place) {
-            assert!(self.hidden.remove(place, twin), "a twin was found there");
-            assert!(
-                self.visible.rename(place, id, twin),
-                "a cube is in one of the grids"
-            );
+        if self.hand_over(id, place) {
             return;
         }
         assert!(
@@ -438,6 +455,22 @@ impl Engine {
         }
         self.promote(place);
         self.certificates.review(&self.visible, &self.hidden);
+    }
+
+    /// Another cube at the very same place, if there is one, becomes visible instead of a cube that goes: the union stays.
+    fn hand_over(&mut self, id: CubeId, place: Place) -> bool {
+        if self.hidden.len() == 0 {
+            return false;
+        }
+        let Some(twin) = self.hidden.at(place) else {
+            return false;
+        };
+        assert!(self.hidden.remove(place, twin), "a twin was found there");
+        assert!(
+            self.visible.rename(place, id, twin),
+            "a cube is in one of the grids"
+        );
+        true
     }
 
     /// Makes hidden cubes visible until they cover again what the deleted cube at `place` left bare, as far as they can.

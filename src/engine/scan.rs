@@ -4,14 +4,14 @@
 
 use super::neighbours::{LANES, Neighbours};
 
-/// Proof that the processor has AVX2.
+/// Proof that the processor has AVX2 and counts bits.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Avx2(());
 
 impl Avx2 {
     #[cfg(target_arch = "x86_64")]
     pub(super) fn detect() -> Option<Self> {
-        is_x86_feature_detected!("avx2").then_some(Self(()))
+        (is_x86_feature_detected!("avx2") && is_x86_feature_detected!("popcnt")).then_some(Self(()))
     }
 
     #[cfg(not(target_arch = "x86_64"))]
@@ -65,7 +65,7 @@ pub(super) fn collect(
     #[cfg(target_arch = "x86_64")]
     if avx2.is_some() {
         #[expect(unsafe_code, reason = "instructions that were detected")]
-        // SAFETY: the proof that the processor has AVX2 is at hand.
+        // SAFETY: the proof that the processor has them is at hand.
         return unsafe { x86::collect(corners, count, corner, edge, neighbours) };
     }
     collect_plain(corners, count, corner, edge, neighbours);
@@ -100,7 +100,7 @@ pub(super) fn within(
     #[cfg(target_arch = "x86_64")]
     if avx2.is_some() {
         #[expect(unsafe_code, reason = "instructions that were detected")]
-        // SAFETY: the proof that the processor has AVX2 is at hand.
+        // SAFETY: the proof that the processor has them is at hand.
         return unsafe { x86::within(corners, first, min, reach) };
     }
     within_plain(corners, first, min, reach)
