@@ -474,70 +474,61 @@ impl Engine {
     }
 
     /// Makes hidden cubes visible until they cover again what the deleted cube at `place` left bare, as far as they can.
+    /// What is bare lies within the boxes of `work`.
     fn promote(&mut self, place: Place) {
-        let Some(bare) = self
-            .work
-            .uncovered
-            .iter()
-            .copied()
-            .reduce(|one, other| one.joined(&other))
-        else {
+        let boxes = self.work.uncovered.iter().copied();
+        let Some(bare) = boxes.reduce(|one, other| one.joined(&other)) else {
             return;
         };
         if self.hidden.len() == 0 {
             return;
         }
         let edge = self.edge.steps();
-        let reach = bare.min.map(|low| low - edge);
-        // In a crowd one cube often covers all that is bare; the first one found will do.
-        let covering = self.hidden.visit(reach, bare.max, |corner, id| {
-            let covers = Span::cube(corner, edge).contains(&bare);
-            if covers {
-                ControlFlow::Break((id, Place::from_checked(corner)))
-            } else {
-                ControlFlow::Continue(())
-            }
-        });
-        if let ControlFlow::Break((id, hidden)) = covering {
-            return self.promote_one(id, hidden);
-        }
-        // Best overlap first, and what is still bare found anew after each, so that few cubes become visible.
         let mut candidates: Vec<(CubeId, Span)> = Vec::new();
-        let all: ControlFlow<()> = self.hidden.visit(reach, bare.max, |corner, id| {
-            candidates.push((id, Span::cube(corner, edge)));
+        // In a crowd one cube often covers all that is bare; the first one found will do.
+        let reach = bare.min.map(|low| low - edge);
+        let covering = self.hidden.visit(reach, bare.max, |corner, id| {
+            let cube = Span::cube(corner, edge);
+            if cube.contains(&bare) {
+                return ControlFlow::Break((id, Place::from_checked(corner)));
+            }
+            candidates.push((id, cube));
             ControlFlow::Continue(())
         });
-        debug_assert!(all.is_continue(), "candidates are all looked at");
+        if let ControlFlow::Break((id, hidden)) = covering {
+            self.promote_one(id, hidden);
+            return;
+        }
+        // Best overlap first, and what is still bare found anew after each, so that few cubes become visible.
         loop {
-            let overlap = |cube: &Span| {
-                self.work
-                    .uncovered
-                    .iter()
-                    .map(|span| span.overlap(cube))
-                    .max()
-                    .unwrap_or(0)
-            };
-            candidates.retain(|(_, cube)| overlap(cube) > 0);
-            let best = candidates
-                .iter()
-                .enumerate()
-                .max_by_key(|(_, (_, cube))| overlap(cube));
-            let Some((best, _)) = best else { return };
-            let (id, cube) = candidates.swap_remove(best);
-            let visible_before = self.visible.len();
-            self.promote_one(id, Place::from_checked(cube.min));
-            if self.visible.len() > visible_before && self.uncovered(place).is_none() {
+            let boxes = &self.work.uncovered;
+            let mut best = (0, None);
+            candidates.retain(|(id, cube)| {
+                let overlap = boxes.iter().map(|span| span.overlap(cube)).max();
+                let overlap = overlap.unwrap_or(0);
+                if overlap > best.0 {
+                    best = (overlap, Some((*id, *cube)));
+                }
+                overlap > 0
+            });
+            let (_, Some((id, cube))) = best else { return };
+            candidates.retain(|(other, _)| *other != id);
+            if self.promote_one(id, Place::from_checked(cube.min))
+                && self.uncovered(place).is_none()
+            {
                 return;
             }
         }
     }
 
     /// Makes a hidden cube visible, unless the visible cubes cover it.
-    fn promote_one(&mut self, id: CubeId, place: Place) {
-        if let Some(difference) = self.marginal(place) {
-            assert!(self.hidden.remove(place, id), "a candidate is hidden");
-            self.show(id, place, &difference);
-        }
+    fn promote_one(&mut self, id: CubeId, place: Place) -> bool {
+        let Some(difference) = self.marginal(place) else {
+            return false;
+        };
+        assert!(self.hidden.remove(place, id), "a candidate is hidden");
+        self.show(id, place, &difference);
+        true
     }
 
     /// What the cube at `place` adds to the union of the visible cubes; none when they cover it.
