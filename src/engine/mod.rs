@@ -409,7 +409,10 @@ impl Engine {
         };
         match difference {
             Some(difference) => self.show(id, place, &difference),
-            None => self.hidden.insert(place, id),
+            None => {
+                self.certificates.certify(place);
+                self.hidden.insert(place, id);
+            }
         }
         self.certificates.review(&self.visible, &self.hidden);
     }
@@ -499,7 +502,7 @@ impl Engine {
             self.promote_one(id, hidden);
             return;
         }
-        // Best overlap first, and what is still bare found anew after each, so that few cubes become visible.
+        // Best overlap first, so that few cubes become visible.
         loop {
             let boxes = &self.work.uncovered;
             let mut best = (0, None);
@@ -513,9 +516,15 @@ impl Engine {
             });
             let (_, Some((id, cube))) = best else { return };
             candidates.retain(|(other, _)| *other != id);
-            if self.promote_one(id, Place::from_checked(cube.min))
-                && self.uncovered(place).is_none()
-            {
+            if !self.promote_one(id, Place::from_checked(cube.min)) {
+                continue;
+            }
+            let boxes = &mut self.work.uncovered;
+            boxes.retain(|bare| !cube.contains(bare));
+            // The boxes are wide. Only when another cube might be needed is it worth to find out what is still bare.
+            let needed =
+                |(_, other): &(CubeId, Span)| boxes.iter().any(|bare| bare.overlap(other) > 0);
+            if !candidates.iter().any(needed) || self.uncovered(place).is_none() {
                 return;
             }
         }
