@@ -44,7 +44,7 @@ const _: () = assert!(3 * AXIS_BITS + INDEX_BITS <= u64::BITS);
 const BINS_AT_ONCE: usize = 16;
 
 /// Cubes ahead for which memory is asked for.
-const AHEAD: usize = 8;
+pub(super) const AHEAD: usize = 8;
 
 /// What one thread needs to evaluate cubes.
 #[derive(Debug)]

@@ -21,11 +21,11 @@ mod certificates;
 mod extents;
 mod grid;
 mod ids;
+mod judge;
 mod marginal;
 mod neighbours;
 mod scan;
 
-use std::collections::HashMap;
 use std::num::NonZero;
 use std::ops::ControlFlow;
 use std::thread::available_parallelism;
@@ -33,7 +33,7 @@ use std::thread::available_parallelism;
 use crate::geometry::{CUBES_MAX, CubeId, Edge, Effect, Place, Stock, Totals};
 
 pub use audit::recount;
-use batch::{BATCH_MIN, Helper};
+use batch::{AHEAD, BATCH_MIN, Helper};
 use certificates::Certificates;
 use grid::Grid;
 use ids::IdTable;
@@ -260,77 +260,6 @@ impl Engine {
         self.ids.get(id)
     }
 
-    /// Judges operations in their order against the set, changing nothing. O(operations).
-    /// # Errors
-    /// [`Rejected`] names the first operation at fault.
-    pub fn judge(&self, ops: &[Op]) -> Result<Judged, Rejected> {
-        /// An id that some operation names.
-        struct Touched {
-            id: CubeId,
-            before: Option<Place>,
-            now: Option<Place>,
-        }
-        let mut touched: Vec<Touched> = Vec::with_capacity(ops.len());
-        let mut by_id: HashMap<CubeId, usize> = HashMap::with_capacity(ops.len());
-        let mut in_order = Counts::default();
-        for (index, op) in ops.iter().enumerate() {
-            let (Op::Delete(id) | Op::Insert(id, _)) = *op;
-            let at = *by_id.entry(id).or_insert_with(|| {
-                let there = self.ids.get(id);
-                touched.push(Touched {
-                    id,
-                    before: there,
-                    now: there,
-                });
-                touched.len() - 1
-            });
-            let now = &mut touched[at].now;
-            match (*op, *now) {
-                (Op::Delete(_), None) => in_order.unchanged += 1,
-                (Op::Delete(_), Some(_)) => {
-                    *now = None;
-                    in_order.deleted += 1;
-                }
-                (Op::Insert(_, place), None) => {
-                    *now = Some(place);
-                    in_order.inserted += 1;
-                }
-                (Op::Insert(_, asked), Some(there)) if there == asked => in_order.unchanged += 1,
-                (Op::Insert(_, asked), Some(there)) => {
-                    return Err(Rejected::IdConflict {
-                        index,
-                        id,
-                        there,
-                        asked,
-                    });
-                }
-            }
-        }
-        let mut effect = Effect::default();
-        for Touched { id, before, now } in touched {
-            if before != now {
-                effect.deleted.extend(before.map(|place| (id, place)));
-                effect.inserted.extend(now.map(|place| (id, place)));
-            }
-        }
-        let (inserted, deleted) = (effect.inserted.len() as u64, effect.deleted.len() as u64);
-        let cubes = self.len() - deleted + inserted;
-        if cubes > CUBES_MAX {
-            return Err(Rejected::TooManyCubes { cubes });
-        }
-        let unchanged = ops.len() as u64 - inserted - deleted;
-        let net = Counts {
-            inserted,
-            deleted,
-            unchanged,
-        };
-        Ok(Judged {
-            effect,
-            in_order,
-            net,
-        })
-    }
-
     /// Applies an effect, whole or not at all: deletions first. The only door through which state changes.
     /// O(cubes named), each in its neighbourhood.
     /// # Errors
@@ -383,6 +312,9 @@ impl Engine {
     /// Removes cubes from the table of ids; the error is how many were removed before one did not fit.
     fn remove_ids(&mut self, cubes: &[(CubeId, Place)]) -> Result<(), usize> {
         for (done, (id, place)) in cubes.iter().enumerate() {
+            if let Some((ahead, _)) = cubes.get(done + AHEAD) {
+                self.ids.prefetch(*ahead);
+            }
             if self.ids.get(*id) != Some(*place) {
                 return Err(done);
             }
@@ -393,7 +325,11 @@ impl Engine {
 
     /// Inserts cubes into the table of ids; the error is how many were inserted before one did not fit.
     fn insert_ids(&mut self, cubes: &[(CubeId, Place)]) -> Result<(), usize> {
+        self.ids.reserve(cubes.len());
         for (done, (id, place)) in cubes.iter().enumerate() {
+            if let Some((ahead, _)) = cubes.get(done + AHEAD) {
+                self.ids.prefetch(*ahead);
+            }
             if self.ids.len() as u64 == CUBES_MAX || !self.ids.insert(*id, *place) {
                 return Err(done);
             }

@@ -171,10 +171,16 @@ mod x86 {
         edge: i32,
         neighbours: &mut Neighbours,
     ) {
-        let [x0, y0, z0] = corner.map(|coordinate| _mm256_set1_epi32(coordinate));
+        let (x0, y0, z0) = (
+            _mm256_set1_epi32(corner[0]),
+            _mm256_set1_epi32(corner[1]),
+            _mm256_set1_epi32(corner[2]),
+        );
         let edge = _mm256_set1_epi32(edge);
         let Neighbours { x, y, z, len } = neighbours;
-        let [xs, ys, zs] = [0, 1, 2].map(|axis| corners.registers(axis, count));
+        let xs = corners.registers(0, count);
+        let ys = corners.registers(1, count);
+        let zs = corners.registers(2, count);
         let mut left = count;
         for ((xs, ys), zs) in xs.iter().zip(ys).zip(zs) {
             let dx = _mm256_sub_epi32(load(xs), x0);
