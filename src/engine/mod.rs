@@ -15,6 +15,7 @@
 //! are those of [`recount`].
 
 mod audit;
+mod bare;
 mod certificates;
 mod grid;
 mod ids;
@@ -27,6 +28,7 @@ use std::ops::ControlFlow;
 use crate::geometry::{CUBES_MAX, CubeId, Edge, Effect, Place, Stock, Totals};
 
 pub use audit::recount;
+pub use bare::Bare;
 use certificates::Certificates;
 use grid::Grid;
 use ids::IdTable;
