@@ -63,11 +63,11 @@ pub(super) fn measure(
                     None => Engine::new(scenario.edge),
                 });
                 let started = Instant::now();
-                scenario.cubes.iter().for_each(|cube| set.insert(*cube));
+                set.insert_all(&scenario.cubes);
                 let inserted = started.elapsed();
                 let found = set.engine.totals();
                 let started = Instant::now();
-                scenario.cubes.iter().for_each(|cube| set.delete(*cube));
+                set.delete_all(&scenario.cubes);
                 let time = inserted + started.elapsed();
                 if found != expected || set.engine.totals() != Totals::default() {
                     return Err(format!("{name}: {bins} give other totals"));

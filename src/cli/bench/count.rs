@@ -45,10 +45,10 @@ pub(crate) fn run(args: &Args) -> Outcome {
     let cubes = numbered(args.workload.places(edge, args.cubes, 1)?);
     let mut set = Online::new(edge);
     if args.until >= Until::Inserted {
-        cubes.iter().for_each(|cube| set.insert(*cube));
+        set.insert_all(&cubes);
     }
     if args.until >= Until::Deleted {
-        cubes.iter().for_each(|cube| set.delete(*cube));
+        set.delete_all(&cubes);
         if set.engine.totals() != Totals::default() {
             return Err("something is left when all is deleted".into());
         }

@@ -1,6 +1,6 @@
 //! `union3d bench engine`: operations a second, latencies and memory of the engine alone.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
@@ -16,6 +16,8 @@ use super::table::{Cell, Report, Table, figure, text};
 use super::workload::{EDGE_STEPS, Workload};
 use super::{bins, flat};
 use crate::cli::{Outcome, progress};
+
+type Failure = Box<dyn std::error::Error>;
 
 /// Cubes in one change.
 const BATCHES: [usize; 4] = [1, 100, 10_000, 1_000_000];
@@ -95,11 +97,7 @@ impl Scenario {
         }
     }
 
-    pub(super) fn of(
-        workload: Workload,
-        cubes: usize,
-        seed: u64,
-    ) -> Result<Self, Box<dyn std::error::Error>> {
+    pub(super) fn of(workload: Workload, cubes: usize, seed: u64) -> Result<Self, Failure> {
         let edge = Edge::new(EDGE_STEPS)?;
         let name = workload.name();
         let places = workload
@@ -115,7 +113,7 @@ impl Scenario {
 }
 
 /// Runs `bench engine`.
-pub(crate) fn run(args: Args) -> Outcome {
+pub(crate) fn run(args: &Args) -> Outcome {
     let mut report = Report::new();
     let named = |default: &[Workload]| match args.workload.as_slice() {
         [] => default.to_vec(),
@@ -137,30 +135,22 @@ pub(crate) fn run(args: Args) -> Outcome {
             &bar,
         )?);
     } else {
-        let mut scenarios: Vec<Box<dyn Fn() -> Result<Scenario, Box<dyn std::error::Error>>>> =
-            Vec::new();
         let workloads = match (&args.gcode, args.turnovers) {
             (Some(_), _) => args.workload.clone(),
             (None, Some(_)) => named(&[Workload::Rho1]),
             (None, None) => named(Workload::value_variants()),
         };
-        for workload in workloads {
-            let (cubes, seed) = (args.cubes, args.seed);
-            scenarios.push(Box::new(move || Scenario::of(workload, cubes, seed)));
-        }
-        if let (Some(path), Some(edge)) = (args.gcode.clone(), args.edge) {
-            scenarios.push(Box::new(move || {
-                let (edge, places) = milled(&path, edge)?;
-                let name = path.file_name().unwrap_or_default().to_string_lossy();
-                Ok(Scenario::new(name.into_owned(), edge, places))
-            }));
+        let mut sources: Vec<Source> = workloads.into_iter().map(Source::Workload).collect();
+        if let (Some(path), Some(edge)) = (&args.gcode, args.edge) {
+            sources.push(Source::Program(path, edge));
         }
         if let Some(turnovers) = args.turnovers {
-            for scenario in scenarios {
-                report.push(flat::turnovers(&scenario()?, turnovers, &bar)?);
+            for source in sources {
+                let scenario = source.scenario(args)?;
+                report.push(flat::turnovers(&scenario, turnovers, &bar)?);
             }
         } else {
-            tables(&mut report, &scenarios, &args, &bar)?;
+            tables(&mut report, &sources, args, &bar)?;
         }
     }
     bar.finish_and_clear();
@@ -168,14 +158,32 @@ pub(crate) fn run(args: Args) -> Outcome {
     Ok(ExitCode::SUCCESS)
 }
 
-type Scenarios = [Box<dyn Fn() -> Result<Scenario, Box<dyn std::error::Error>>>];
+/// Where a scenario comes from; each is made when its turn comes, since all together take much memory.
+enum Source<'args> {
+    Workload(Workload),
+    /// A G-code program, and the cutter's edge in millimetres.
+    Program(&'args Path, f64),
+}
+
+impl Source<'_> {
+    fn scenario(&self, args: &Args) -> Result<Scenario, Failure> {
+        match *self {
+            Self::Workload(workload) => Scenario::of(workload, args.cubes, args.seed),
+            Self::Program(path, edge) => {
+                let (edge, places) = milled(path, edge)?;
+                let name = path.file_name().unwrap_or_default().to_string_lossy();
+                Ok(Scenario::new(name.into_owned(), edge, places))
+            }
+        }
+    }
+}
 
 fn tables(
     report: &mut Report,
-    scenarios: &Scenarios,
+    sources: &[Source<'_>],
     args: &Args,
     bar: &ProgressBar,
-) -> Result<(), Box<dyn std::error::Error>> {
+) -> Result<(), Failure> {
     let mut single = Table::new(
         "One by one",
         "Million operations a second on one thread, and how long single ones take, in microseconds. `x bare` and `x hash map`: the time \
@@ -221,8 +229,8 @@ fn tables(
                 .map(|[key, heading]| (key.as_str(), heading.as_str())),
         ),
     );
-    for scenario in scenarios {
-        let scenario = scenario()?;
+    for source in sources {
+        let scenario = source.scenario(args)?;
         one_by_one(&scenario, args, &mut single, bar)?;
         in_batches(&scenario, args, &mut batched, bar)?;
     }
@@ -260,12 +268,12 @@ fn operate<S: Set>(
     full(&set);
     let oldest = each(cubes.iter(), |cube| set.delete(*cube));
     assert_eq!(set.len(), 0, "everything has been deleted");
-    cubes.iter().for_each(|cube| set.insert(*cube));
+    set.insert_all(cubes);
     let random = each(random_order.iter(), |cube| set.delete(*cube));
     assert_eq!(set.len(), 0, "everything has been deleted");
-    cubes.iter().for_each(|cube| set.insert(*cube));
+    set.insert_all(cubes);
     let replace = each(cubes.iter().zip(&scenario.following), |(oldest, newest)| {
-        set.replace(*oldest, *newest)
+        set.replace(*oldest, *newest);
     });
     moved(&set);
     let all = [insert, oldest, random, replace];
@@ -351,7 +359,7 @@ fn in_batches(
     args: &Args,
     table: &mut Table,
     bar: &ProgressBar,
-) -> Result<(), Box<dyn std::error::Error>> {
+) -> Result<(), Failure> {
     let expected = scenario.totals();
     for threads in THREADS {
         let pool = rayon::ThreadPoolBuilder::new()

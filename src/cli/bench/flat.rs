@@ -44,7 +44,7 @@ pub(super) fn turnovers(
         ],
     );
     let mut set = Online::new(scenario.edge);
-    scenario.cubes.iter().for_each(|cube| set.insert(*cube));
+    set.insert_all(&scenario.cubes);
     // A row for each tenth, or for each turnover when there are fewer.
     let rows = turnovers.min(10);
     for row in 0..rows {
@@ -63,7 +63,7 @@ pub(super) fn turnovers(
     bar.set_message(format!("{name}: fresh"));
     let mut fresh = Online::new(scenario.edge);
     let cubes = cubes_of(turnovers);
-    cubes.iter().for_each(|cube| fresh.insert(*cube));
+    fresh.insert_all(&cubes);
     let size = fresh.engine.size();
     if fresh.engine.totals() != expected {
         return Err(format!("{name}: a fresh set has other totals"));
@@ -146,10 +146,9 @@ pub(super) fn sizes(
                     short(size)
                 ));
                 let mut set = Online::new(scenario.edge);
-                let cubes = || scenario.cubes.iter();
                 let count = float(scenario.cubes.len() as u64);
                 let started = Instant::now();
-                cubes().for_each(|cube| set.insert(*cube));
+                set.insert_all(&scenario.cubes);
                 paces[0].push(started.elapsed().as_secs_f64() / count);
                 let size = set.engine.size();
                 bytes = [size.grid, size.grid + size.ids].map(|bytes| float(bytes as u64) / count);
@@ -157,7 +156,7 @@ pub(super) fn sizes(
                     return Err(format!("{name}: a recount gives other totals").into());
                 }
                 let started = Instant::now();
-                cubes().for_each(|cube| set.delete(*cube));
+                set.delete_all(&scenario.cubes);
                 paces[1].push(started.elapsed().as_secs_f64() / count);
                 if set.engine.totals() != Totals::default() {
                     return Err(format!("{name}: something is left when all is deleted").into());

@@ -50,10 +50,10 @@ pub(crate) fn run(args: Args) -> Outcome {
         eprintln!("union3d: this is a debug build: its figures say nothing about a release build");
     }
     match args.what {
-        What::Engine(args) => engine::run(args),
-        What::Union3(args) => union3::run(args),
-        What::Service(args) => service::run(args),
-        What::Peers(args) => peers::run(args),
+        What::Engine(args) => engine::run(&args),
+        What::Union3(args) => union3::run(&args),
+        What::Service(args) => service::run(&args),
+        What::Peers(args) => peers::run(&args),
         What::Count(args) => count::run(&args),
     }
 }

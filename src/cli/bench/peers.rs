@@ -46,7 +46,7 @@ struct Answer {
 }
 
 /// Runs `bench peers`.
-pub(crate) fn run(args: Args) -> Outcome {
+pub(crate) fn run(args: &Args) -> Outcome {
     let edge = Edge::new(args.edge)?;
     let cubes = numbered(read(&args.cubes, edge)?);
     let Some((last, batch)) = cubes.split_last().filter(|(_, batch)| !batch.is_empty()) else {

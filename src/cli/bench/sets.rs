@@ -18,6 +18,18 @@ pub(crate) trait Set {
     /// Deletes one cube and inserts another, in one change where the set knows changes.
     fn replace(&mut self, old: Cube, new: Cube);
     fn len(&self) -> u64;
+
+    fn insert_all(&mut self, cubes: &[Cube]) {
+        for cube in cubes {
+            self.insert(*cube);
+        }
+    }
+
+    fn delete_all(&mut self, cubes: &[Cube]) {
+        for cube in cubes {
+            self.delete(*cube);
+        }
+    }
 }
 
 /// The engine, and a change whose memory is used again and again.

@@ -88,7 +88,7 @@ enum Way {
 
 /// What one way gives: printed by one process and read by the other.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-struct Outcome1 {
+struct Measured {
     seconds: f64,
     ids_bytes: usize,
     grid_bytes: usize,
@@ -100,7 +100,7 @@ struct Outcome1 {
 }
 
 /// Runs `bench union3`.
-pub(crate) fn run(args: Args) -> Outcome {
+pub(crate) fn run(args: &Args) -> Outcome {
     if let Some(way) = args.way {
         let outcome = measure(way, args.cubes, args.seed)?;
         println!("{}", serde_json::to_string(&outcome)?);
@@ -126,7 +126,7 @@ pub(crate) fn run(args: Args) -> Outcome {
             ("peak_gib", "peak GiB"),
         ],
     );
-    let mut first: Option<Outcome1> = None;
+    let mut first: Option<Measured> = None;
     for (way, name) in [
         (Way::Batch1, "one batch, one thread"),
         (Way::Batch2, "one batch, two threads"),
@@ -135,7 +135,7 @@ pub(crate) fn run(args: Args) -> Outcome {
         let mut runs = Vec::new();
         for number in 1..=args.runs {
             bar.set_message(format!("{name}, run {number} of {}", args.runs));
-            let outcome = in_a_process(way, &args)?;
+            let outcome = in_a_process(way, args)?;
             let equal = first.get_or_insert_with(|| outcome.clone());
             if equal.totals != outcome.totals {
                 return Err(format!("{name}: totals differ from those of one batch").into());
@@ -164,7 +164,7 @@ pub(crate) fn run(args: Args) -> Outcome {
     bar.set_message("standard errors");
     let found = first.expect("there are three ways");
     let errors = standard_errors(args.cubes, args.seed)?;
-    let (table, agree) = compare(&args, &found, errors)?;
+    let (table, agree) = compare(args, &found, errors)?;
     bar.finish_and_clear();
     report.remark(format!(
         "Random places from seed {}; {} features coincide on the lattice ({EDGE_STEPS} steps an edge).",
@@ -183,7 +183,7 @@ pub(crate) fn run(args: Args) -> Outcome {
 /// Every row beside the paper's and the formulas; and whether all are as expected.
 fn compare(
     args: &Args,
-    found: &Outcome1,
+    found: &Measured,
     errors: [f64; 6],
 ) -> Result<(Table, bool), Box<dyn std::error::Error>> {
     let mut table = Table::new(
@@ -244,7 +244,7 @@ fn compare(
     Ok((table, agree))
 }
 
-fn in_a_process(way: Way, args: &Args) -> Result<Outcome1, Box<dyn std::error::Error>> {
+fn in_a_process(way: Way, args: &Args) -> Result<Measured, Box<dyn std::error::Error>> {
     let value = way.to_possible_value().expect("no way is skipped");
     let (cubes, seed) = (args.cubes.to_string(), args.seed.to_string());
     let output = Command::new(std::env::current_exe()?)
@@ -257,7 +257,7 @@ fn in_a_process(way: Way, args: &Args) -> Result<Outcome1, Box<dyn std::error::E
     Ok(serde_json::from_slice(&output.stdout)?)
 }
 
-fn measure(way: Way, cubes: usize, seed: u64) -> Result<Outcome1, Box<dyn std::error::Error>> {
+fn measure(way: Way, cubes: usize, seed: u64) -> Result<Measured, Box<dyn std::error::Error>> {
     let edge = Edge::new(EDGE_STEPS)?;
     let mut places = places(edge, cubes, box_side(cubes)?, seed);
     let mut set = Online::new(edge);
@@ -288,7 +288,7 @@ fn measure(way: Way, cubes: usize, seed: u64) -> Result<Outcome1, Box<dyn std::e
     let resident = resident(std::process::id());
     let EngineSize { ids, grid } = set.engine.size();
     let totals = set.engine.totals();
-    let outcome = Outcome1 {
+    let outcome = Measured {
         seconds: seconds.as_secs_f64(),
         ids_bytes: ids,
         grid_bytes: grid,

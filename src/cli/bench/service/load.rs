@@ -87,12 +87,12 @@ pub(super) async fn run(
     let content_type = supply.content_type;
     let supply = Rc::new(RefCell::new(supply));
     let started = Instant::now();
-    let set = LocalSet::new();
+    let tasks_here = LocalSet::new();
     let tasks: Vec<_> = links
         .into_iter()
         .map(|mut link| {
             let (supply, method, path) = (Rc::clone(&supply), method.clone(), path.clone());
-            set.spawn_local(async move {
+            tasks_here.spawn_local(async move {
                 let mut latencies = Latencies::default();
                 while started.elapsed() < time {
                     let Some(body) = supply.borrow_mut().take() else {
@@ -118,7 +118,7 @@ pub(super) async fn run(
             })
         })
         .collect();
-    set.await;
+    tasks_here.await;
     let mut done = Done {
         time: started.elapsed(),
         ..Done::default()

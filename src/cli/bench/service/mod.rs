@@ -134,7 +134,7 @@ fn large(text: &str) -> Result<usize, String> {
 }
 
 /// Runs `bench service`.
-pub(crate) fn run(args: Args) -> Outcome {
+pub(crate) fn run(args: &Args) -> Outcome {
     let mut report = Report::new();
     let data = tempfile::Builder::new()
         .prefix("union3d-bench-")
@@ -150,7 +150,7 @@ pub(crate) fn run(args: Args) -> Outcome {
         time: Duration::from_secs_f64(args.seconds),
         data: data.path(),
         bar: progress::work(),
-        args: &args,
+        args,
     };
     let wanted = |part| args.part.is_empty() || args.part.contains(&part);
     if wanted(Part::Throughput) {
@@ -674,14 +674,14 @@ async fn move_until_snapshot(
         }
         let end = (next + LOAD_BATCH / 2).min(cubes.len());
         let part = &mut cubes[next..end];
-        let moved: Vec<Cube> = bodies::cubes(0, part.len(), random)
+        let new_cubes: Vec<Cube> = bodies::cubes(0, part.len(), random)
             .into_iter()
             .zip(&*part)
             .map(|(new, old)| Cube { id: old.id, ..new })
             .collect();
-        let body = bodies::replace(part, &moved);
+        let body = bodies::replace(part, &new_cubes);
         link.expect(Method::POST, &path, Some(kind), body).await?;
-        part.copy_from_slice(&moved);
+        part.copy_from_slice(&new_cubes);
         moves += part.len();
         next = end % cubes.len();
     }

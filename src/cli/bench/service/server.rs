@@ -12,7 +12,7 @@ use crate::cli::bench::machine::{Resident, resident};
 type Failure = Box<dyn std::error::Error>;
 
 /// How long a server may take to replay what there is.
-const PATIENCE: Duration = Duration::from_secs(600);
+const PATIENCE: Duration = Duration::from_mins(10);
 
 /// A server process; it ends when this is dropped.
 #[derive(Debug)]
@@ -42,17 +42,17 @@ impl Server {
             .stdout(Stdio::piped());
         let mut process = command.spawn()?;
         let output = process.stdout.take().expect("it is piped");
-        let mut line = String::new();
-        BufReader::new(output).read_line(&mut line)?;
+        let mut greeting = String::new();
+        BufReader::new(output).read_line(&mut greeting)?;
         let address = |name: &str| {
-            let mut words = line.split_whitespace();
+            let mut words = greeting.split_whitespace();
             words.find_map(|word| word.strip_prefix(name))
         };
         let http = address("http://").map(str::parse);
         let Some(http) = http else {
             process.kill()?;
             let status = process.wait()?;
-            return Err(format!("the server did not start ({status}): {line:?}").into());
+            return Err(format!("the server did not start ({status}): {greeting:?}").into());
         };
         let mut server = Self {
             process,
