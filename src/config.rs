@@ -42,6 +42,10 @@ pub struct ServeConfig {
     pub history_changes_max: NonZeroU64,
     /// Newest idempotency keys kept, per scene.
     pub idempotency_keys_max: NonZeroU64,
+    /// Newest changes of a scene that can be gone back behind once there is a snapshot.
+    pub revert_changes_max: u64,
+    /// Most bytes kept for that, per scene.
+    pub revert_bytes_max: u64,
     /// Seconds that a body may take to arrive, and an answer to be made; of a stream, how long it may pause.
     pub request_timeout_seconds: NonZeroU64,
     /// Seconds that `?wait=` waits.
@@ -89,6 +93,14 @@ pub struct ServeFlags {
     #[arg(long, value_name = "COUNT")]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub idempotency_keys_max: Option<NonZeroU64>,
+    /// Newest changes of a scene that can be gone back behind once there is a snapshot [default: 1000000]
+    #[arg(long, value_name = "COUNT")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub revert_changes_max: Option<u64>,
+    /// Most bytes kept for that, per scene [default: 1073741824]
+    #[arg(long, value_name = "BYTES")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub revert_bytes_max: Option<u64>,
     /// Seconds that a body may take to arrive, and an answer to be made; of a stream, how long it may pause [default: 30]
     #[arg(long, value_name = "SECONDS")]
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -133,6 +145,8 @@ impl Default for ServeConfig {
             change_cubes_max: count(1_000_000),
             history_changes_max: whole(10_000_000),
             idempotency_keys_max: whole(100_000),
+            revert_changes_max: 1_000_000,
+            revert_bytes_max: 1 << 30,
             request_timeout_seconds: whole(30),
             wait_seconds_max: whole(10),
             probe_interval_seconds: whole(1),
@@ -199,6 +213,8 @@ impl ServeConfig {
             group_operations_max: self.group_operations_max.get(),
             history_changes_max: self.history_changes_max.get(),
             idempotency_keys_max: self.idempotency_keys_max.get(),
+            revert_changes_max: self.revert_changes_max,
+            revert_bytes_max: self.revert_bytes_max,
             probe_interval: Duration::from_secs(self.probe_interval_seconds.get()),
         }
     }

@@ -251,6 +251,72 @@ fn churning_crowds_agree_with_a_plain_engine() {
     }
 }
 
+/// Every width of the kernel's sums and lanes, up to the widest edge and far from the origin, against the plain one.
+#[test]
+fn every_edge_agrees_with_a_plain_engine() {
+    for (seed, steps) in [
+        1,
+        2,
+        3,
+        6_208,
+        6_209,
+        20_000,
+        32_766,
+        32_767,
+        1 << 20,
+        1 << 24,
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let mut random = Random::new(5_000_000 + seed as u64);
+        let edge = Edge::new(steps).unwrap();
+        for far in [0, (1 << 30) - 3 * steps, -(1 << 30) + 2 * steps] {
+            let mut corner = || [0; 3].map(|_: i32| far + random.within(-2 * steps, 2 * steps));
+            let [min, max] = [corner(), corner()];
+            let order =
+                |pick: fn(i64, i64) -> i64| [0, 1, 2].map(|axis| pick(min[axis], max[axis]));
+            let stock = Stock::new(order(i64::min), order(i64::max).map(|high| high + 1)).ok();
+            let mut fast = Engine::new(edge).with_stock(stock);
+            let mut plain = Engine::plain(edge).with_stock(stock);
+            let mut cubes = Vec::new();
+            for id in 0..120 {
+                let place = Place::new(corner(), edge).unwrap();
+                cubes.push((CubeId(id), place));
+                for engine in [&mut fast, &mut plain] {
+                    let effect = Effect {
+                        deleted: vec![],
+                        inserted: vec![(CubeId(id), place)],
+                    };
+                    engine.apply(&effect).unwrap();
+                }
+                assert_eq!(
+                    fast.totals(),
+                    plain.totals(),
+                    "edge {steps}, far {far}, cube {id}"
+                );
+            }
+            while !cubes.is_empty() {
+                let cube = cubes.swap_remove(random.below(cubes.len() as u64) as usize);
+                for engine in [&mut fast, &mut plain] {
+                    let effect = Effect {
+                        deleted: vec![cube],
+                        inserted: vec![],
+                    };
+                    engine.apply(&effect).unwrap();
+                }
+                let left = cubes.len();
+                assert_eq!(
+                    fast.totals(),
+                    plain.totals(),
+                    "edge {steps}, far {far}, {left} left"
+                );
+            }
+            assert_eq!(fast.totals(), Totals::of_nothing(stock));
+        }
+    }
+}
+
 /// Small voxel worlds with so many cubes that leaves are reached by division, not only at once.
 #[test]
 fn many_cubes_in_a_small_world_agree_with_voxels() {

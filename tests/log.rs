@@ -18,6 +18,8 @@ const EDGE: u32 = 5;
 const KEEP: Keep = Keep {
     history_changes_max: 1000,
     idempotency_keys_max: 1000,
+    revert_changes_max: 0,
+    revert_bytes_max: 0,
 };
 
 type Cubes = BTreeMap<CubeId, Place>;
@@ -301,6 +303,8 @@ fn random_histories_come_back() {
         let keep = Keep {
             history_changes_max: u64::try_from(random.below(40)).unwrap(),
             idempotency_keys_max: u64::try_from(random.below(10)).unwrap(),
+            revert_changes_max: u64::try_from(random.below(30)).unwrap(),
+            revert_bytes_max: u64::try_from(random.below(4000)).unwrap(),
         };
         let (mut log, path) = create(&data, keep);
         let mut model = Model::new();

@@ -1095,6 +1095,8 @@ async fn a_long_log_is_cut_by_a_snapshot_while_changes_go_on() {
     let keep = Keep {
         history_changes_max: u64::MAX,
         idempotency_keys_max: u64::MAX,
+        revert_changes_max: 0,
+        revert_bytes_max: 0,
     };
     let (mut log, _) = SceneLog::open(&directory.path().join("data/scenes/s"), keep).unwrap();
     let mut changes = 0;

@@ -12,11 +12,12 @@
 //! The covered cells of UNION3 (W. R. Franklin), kept current.
 
 use std::collections::HashMap;
-use std::hash::BuildHasherDefault;
+use std::hash::{BuildHasherDefault, Hash, Hasher};
 
 use crate::geometry::{Edge, Place};
 
-use super::grid::{BinHasher, BinKey, Grid};
+use super::bins::BinKey;
+use super::grid::Grid;
 use super::marginal::Span;
 
 /// Cells along one side of a block; one row of a block is a byte.
@@ -200,5 +201,29 @@ impl Cells {
                 .unwrap_or(0));
         z.into_iter()
             .all(|z| y.clone().all(|y| visit(z * 8 + y, bits)))
+    }
+}
+
+impl Hash for BinKey {
+    fn hash<H: Hasher>(&self, hasher: &mut H) {
+        hasher.write_u64(BinKey::hash(*self));
+    }
+}
+
+/// Takes the hash of a bin as it is.
+#[derive(Default)]
+struct BinHasher(u64);
+
+impl Hasher for BinHasher {
+    fn finish(&self) -> u64 {
+        self.0
+    }
+
+    fn write(&mut self, _: &[u8]) {
+        unreachable!("a bin is hashed by itself");
+    }
+
+    fn write_u64(&mut self, hash: u64) {
+        self.0 = hash;
     }
 }

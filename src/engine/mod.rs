@@ -16,11 +16,14 @@
 
 mod audit;
 mod bare;
+mod bins;
 mod certificates;
+mod extents;
 mod grid;
 mod ids;
 mod marginal;
 mod neighbours;
+mod scan;
 
 use std::collections::HashMap;
 use std::ops::ControlFlow;
@@ -166,8 +169,8 @@ impl Engine {
     pub fn plain(edge: Edge) -> Self {
         Self::build(
             edge,
-            Grid::for_neighbours(edge),
-            Grid::for_small_boxes(edge),
+            Grid::for_neighbours(edge).plain(),
+            Grid::for_small_boxes(edge).plain(),
             Kernel::plain(edge),
             Certificates::never(edge),
         )

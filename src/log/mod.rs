@@ -20,6 +20,7 @@ mod database;
 mod files;
 mod history;
 mod replay;
+mod revert;
 mod scene;
 mod snapshot;
 mod tables;
@@ -170,6 +171,10 @@ pub struct Keep {
     pub history_changes_max: u64,
     /// Newest idempotency keys kept.
     pub idempotency_keys_max: u64,
+    /// Newest changes whose operations are kept behind a snapshot, to go back by.
+    pub revert_changes_max: u64,
+    /// Most bytes of operations kept for that.
+    pub revert_bytes_max: u64,
 }
 
 /// One row of the history.

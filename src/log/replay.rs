@@ -241,7 +241,12 @@ impl SceneLog {
     }
 
     /// What the columns of `operations`, from `first` on, did at `seq`.
-    fn operations(&self, row: &Row<'_>, first: usize, seq: Seq) -> Result<Effect, LogError> {
+    pub(super) fn operations(
+        &self,
+        row: &Row<'_>,
+        first: usize,
+        seq: Seq,
+    ) -> Result<Effect, LogError> {
         let Database { site, seal, .. } = &self.database;
         let damaged = |error| site.damaged(seq, format_args!("the cubes: {error}"));
         let packed = Packed::operations(row, first, *seal).map_err(damaged)?;
@@ -262,7 +267,7 @@ impl SceneLog {
         }
     }
 
-    fn each(
+    pub(super) fn each(
         &self,
         sql: &str,
         parameters: impl rusqlite::Params,

@@ -391,6 +391,8 @@ mod tests {
     const KEEP: Keep = Keep {
         history_changes_max: 10,
         idempotency_keys_max: 10,
+        revert_changes_max: 0,
+        revert_bytes_max: 0,
     };
 
     fn record(seq: u64, cubes: u64) -> Record {

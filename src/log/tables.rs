@@ -8,7 +8,7 @@
 //! head        1 row, part of every transaction: which rows there must be
 //! meta        1 row: what was fixed when the scene was created
 //! changes     seq -> time, counts, totals         kept as long as the history is
-//! operations  seq -> cubes deleted and inserted   kept until a snapshot makes them superfluous
+//! operations  seq -> cubes deleted and inserted   kept for replay, and to go back by
 //! snapshots   number -> seq, time, totals, ...    one, or none yet
 //! chunks      number << 16 | index -> up to 65,536 cubes
 //! keys        number -> idempotency key and its answer
@@ -28,7 +28,7 @@ pub(super) const TABLES: [(&str, &str); 7] = [
         "head",
         "CREATE TABLE head(one INTEGER PRIMARY KEY, generation INTEGER NOT NULL, seq INTEGER NOT NULL, \
          changes_first INTEGER NOT NULL, operations_first INTEGER NOT NULL, operations_bytes INTEGER NOT NULL, \
-         operations_cubes INTEGER NOT NULL, snapshot INTEGER NOT NULL, snapshots_begun INTEGER NOT NULL, \
+         dropped_bytes INTEGER NOT NULL, operations_cubes INTEGER NOT NULL, snapshot INTEGER NOT NULL, snapshots_begun INTEGER NOT NULL, \
          keys_first INTEGER NOT NULL, keys_next INTEGER NOT NULL, crc INTEGER NOT NULL) STRICT",
     ),
     (
@@ -153,6 +153,8 @@ pub(super) struct Head {
     pub(super) operations_first: u64,
     /// Bytes of all operations since the scene was created, dropped ones too.
     pub(super) operations_bytes: u64,
+    /// Those of the dropped ones.
+    pub(super) dropped_bytes: u64,
     /// Cubes of all operations since the scene was created.
     pub(super) operations_cubes: u64,
     /// The snapshot to replay from; 0 for none.
@@ -172,6 +174,7 @@ impl Head {
         changes_first: 1,
         operations_first: 1,
         operations_bytes: 0,
+        dropped_bytes: 0,
         operations_cubes: 0,
         snapshot: 0,
         snapshots_begun: 0,
@@ -179,13 +182,14 @@ impl Head {
         keys_next: 0,
     };
 
-    fn numbers(&self) -> [u64; 10] {
+    fn numbers(&self) -> [u64; 11] {
         [
             self.generation,
             self.seq.0,
             self.changes_first,
             self.operations_first,
             self.operations_bytes,
+            self.dropped_bytes,
             self.operations_cubes,
             self.snapshot,
             self.snapshots_begun,
@@ -206,7 +210,7 @@ impl Head {
         let crc = self.crc(seal).finish();
         let numbers = self.numbers().map(u64::cast_signed);
         connection
-            .prepare_cached("REPLACE INTO head VALUES(1, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)")?
+            .prepare_cached("REPLACE INTO head VALUES(1, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)")?
             .execute(params_from_iter(
                 numbers.into_iter().chain([i64::from(crc)]),
             ))?;
@@ -230,13 +234,14 @@ impl Head {
             changes_first: columns.number(3)?,
             operations_first: columns.number(4)?,
             operations_bytes: columns.number(5)?,
-            operations_cubes: columns.number(6)?,
-            snapshot: columns.number(7)?,
-            snapshots_begun: columns.number(8)?,
-            keys_first: columns.number(9)?,
-            keys_next: columns.number(10)?,
+            dropped_bytes: columns.number(6)?,
+            operations_cubes: columns.number(7)?,
+            snapshot: columns.number(8)?,
+            snapshots_begun: columns.number(9)?,
+            keys_first: columns.number(10)?,
+            keys_next: columns.number(11)?,
         };
-        head.crc(seal).check(columns.number(11)?)?;
+        head.crc(seal).check(columns.number(12)?)?;
         Ok(head)
     }
 }

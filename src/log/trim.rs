@@ -16,6 +16,8 @@ const SLICE_PAGES: u32 = 1024;
 
 /// Rows past their limit before trimming is worth a transaction of its own.
 const SLACK_ROWS: u64 = 1024;
+/// And this part of the bytes.
+const SLACK_BYTES_PART: u64 = 16;
 /// Free pages are filled again by the next changes; the file is made shorter only when it is mostly and much of it empty.
 const FREE_PAGES_MIN: u64 = 2048;
 const FREE_OF_4_MIN: u64 = 3;
@@ -24,7 +26,7 @@ impl SceneLog {
     /// Whether there is enough to drop that calling [`Self::trim`] pays. No I/O.
     pub fn wants_trim(&self) -> bool {
         self.chunks_left_over()
-            || self.operations_end() > self.database.head.operations_first
+            || self.operations_past_limit(SLACK_ROWS)
             || self.changes_end() >= self.database.head.changes_first + SLACK_ROWS
             || self.keys_end() >= self.database.head.keys_first + SLACK_ROWS
     }
@@ -34,7 +36,7 @@ impl SceneLog {
     /// The disk's.
     pub fn trim(&mut self) -> Result<bool, LogError> {
         let head = self.database.head;
-        if self.operations_end() > head.operations_first {
+        if self.operations_past_limit(0) {
             self.trim_operations()?;
         } else if self.chunks_left_over() {
             self.trim_chunks()?;
@@ -71,6 +73,21 @@ impl SceneLog {
         Ok(true)
     }
 
+    /// Whether there are operations in the snapshot that are past the limits, by more than some changes.
+    fn operations_past_limit(&self, slack: u64) -> bool {
+        let head = &self.database.head;
+        let kept = head.seq.0 + 1 - head.operations_first;
+        let kept_bytes = head.operations_bytes - head.dropped_bytes;
+        let slack_bytes = if slack > 0 {
+            self.keep.revert_bytes_max / SLACK_BYTES_PART
+        } else {
+            0
+        };
+        self.operations_end() > head.operations_first
+            && (kept > self.keep.revert_changes_max.saturating_add(slack)
+                || kept_bytes > self.keep.revert_bytes_max.saturating_add(slack_bytes))
+    }
+
     /// Operations before this are in the snapshot.
     fn operations_end(&self) -> u64 {
         self.snapshot
@@ -101,8 +118,11 @@ impl SceneLog {
 
     fn trim_operations(&mut self) -> Result<(), LogError> {
         let end = self.operations_end();
+        let keep = self.keep;
         self.database.transact(|connection, _, head| {
             let first = head.operations_first;
+            let kept = head.seq.0 + 1 - first;
+            let kept_bytes = head.operations_bytes - head.dropped_bytes;
             let mut statement = connection.prepare_cached(
                 "SELECT length(cubes) FROM operations WHERE seq >= ? AND seq < ? ORDER BY seq LIMIT ?",
             )?;
@@ -112,7 +132,9 @@ impl SceneLog {
             while let Some(row) = rows.next()? {
                 dropped += 1;
                 bytes += row.get::<_, i64>(0)?.cast_unsigned();
-                if bytes > SLICE_BYTES {
+                let enough = kept - dropped <= keep.revert_changes_max
+                    && kept_bytes.saturating_sub(bytes) <= keep.revert_bytes_max;
+                if enough || bytes > SLICE_BYTES {
                     break;
                 }
             }
@@ -121,6 +143,7 @@ impl SceneLog {
             let end = first + dropped.max(1);
             delete(connection, "DELETE FROM operations WHERE seq < ?", end, end - first)?;
             head.operations_first = end;
+            head.dropped_bytes += bytes;
             Ok(())
         })
     }

@@ -85,6 +85,8 @@ impl Submission {
         match &self.operations {
             Operations::Named(ops) => ops.len(),
             Operations::Numbered { delete, insert } => delete.len() + insert.len(),
+            // How many it takes is not known before it is its turn.
+            Operations::Revert(_) => 0,
         }
     }
 }

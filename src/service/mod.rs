@@ -48,6 +48,10 @@ pub struct ServiceConfig {
     pub history_changes_max: u64,
     /// Newest idempotency keys kept, per scene.
     pub idempotency_keys_max: u64,
+    /// Newest changes of a scene that can be gone back behind, however large it is.
+    pub revert_changes_max: u64,
+    /// Most bytes kept for that, per scene.
+    pub revert_bytes_max: u64,
     /// How long a stopped scene waits between two tries of the disk.
     pub probe_interval: Duration,
 }
@@ -88,6 +92,8 @@ pub enum Operations {
         /// Places to insert.
         insert: Vec<Place>,
     },
+    /// Whatever makes the set of cubes what it was at this seq. O(operations since).
+    Revert(Seq),
 }
 
 /// One change on its way in.
@@ -221,6 +227,14 @@ pub enum ServiceError {
         /// Newest there is.
         newest: Seq,
     },
+    /// The cubes of that seq are no longer known: the changes since are in a snapshot.
+    #[error("seq {} cannot be gone back to any more; the oldest that can is {}", seq.0, oldest.0)]
+    NotReachable {
+        /// Asked for.
+        seq: Seq,
+        /// Oldest there is.
+        oldest: Seq,
+    },
     /// The service is shutting down.
     #[error("the service is shutting down")]
     ShuttingDown,
@@ -273,6 +287,8 @@ impl ServiceConfig {
             group_operations_max: 65_536,
             history_changes_max: 10_000_000,
             idempotency_keys_max: 100_000,
+            revert_changes_max: 1_000_000,
+            revert_bytes_max: 1 << 30,
             probe_interval: Duration::from_secs(1),
         }
     }

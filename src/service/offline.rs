@@ -83,6 +83,8 @@ impl Offline {
         let keep = Keep {
             history_changes_max: u64::MAX,
             idempotency_keys_max: u64::MAX,
+            revert_changes_max: u64::MAX,
+            revert_bytes_max: u64::MAX,
         };
         let (mut log, notices) = SceneLog::open(directory, keep)?;
         let records = log.verify(&mut |permille| progress(permille / 2))?;

@@ -114,6 +114,8 @@ pub(super) fn keep(scene: &Scene) -> Keep {
     Keep {
         history_changes_max: scene.setup.config.history_changes_max,
         idempotency_keys_max: scene.setup.config.idempotency_keys_max,
+        revert_changes_max: scene.setup.config.revert_changes_max,
+        revert_bytes_max: scene.setup.config.revert_bytes_max,
     }
 }
 

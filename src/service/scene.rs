@@ -17,7 +17,7 @@ use tokio::sync::{oneshot, watch};
 
 use super::inbox::{End, Inbox, Pending, Shut};
 use super::recover::Gate;
-use super::writer::View;
+use super::writer::{View, too_many};
 use super::{
     Applied, Audit, CHANGE_OPERATIONS_MAX, FaultHook, HistoryRow, Published, SceneName, SceneState,
     Seq, ServiceConfig, ServiceError, Submission, meters,
@@ -153,12 +153,7 @@ impl Scene {
     pub async fn change(&self, submission: Submission) -> Result<Applied, ServiceError> {
         let operations = submission.operations();
         if operations > CHANGE_OPERATIONS_MAX {
-            return Err(ServiceError::Storage {
-                cause: format!(
-                    "a change of {operations} operations is more than the {CHANGE_OPERATIONS_MAX} that one record holds"
-                ),
-                full: false,
-            });
+            return Err(too_many(operations));
         }
         let (reply, answer) = oneshot::channel();
         self.inbox

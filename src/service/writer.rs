@@ -18,10 +18,10 @@ use super::inbox::{Pending, Reply};
 use super::recover::{Halt, next_id_after, reopen};
 use super::scene::{Condition, Feed, Scene};
 use super::{
-    Applied, Counting, FaultStep, Operations, Published, SceneState, Seq, ServiceError, Submission,
-    meters,
+    Applied, CHANGE_OPERATIONS_MAX, Counting, FaultStep, Operations, Published, SceneState, Seq,
+    ServiceError, Submission, meters,
 };
-use crate::engine::{Counts, Engine, Op};
+use crate::engine::{Counts, Engine, Judged, Op};
 use crate::geometry::{CubeId, Effect, Place};
 use crate::log::{Answer, KeyRecord, Log, LogError, Record, SceneLog};
 
@@ -285,7 +285,7 @@ impl Live {
         mut submission: Submission,
     ) -> Result<Answered, LogError> {
         let Some((key, body)) = submission.key.take() else {
-            return Ok(self.judge(group, submission));
+            return self.judge(group, submission);
         };
         let earlier = match group.keyed.get(&key) {
             Some(&index) => Some(group.keys[index].clone()),
@@ -298,7 +298,7 @@ impl Live {
                 Err(ServiceError::KeyReused)
             });
         }
-        let answer = self.judge(group, submission);
+        let answer = self.judge(group, submission)?;
         if let Ok(applied) = &answer {
             group.keyed.insert(key.clone(), group.keys.len());
             group.keys.push(KeyRecord {
@@ -311,10 +311,85 @@ impl Live {
     }
 
     /// Judges a change against the engine and applies it: the engine is then ahead of the log.
-    fn judge(&mut self, group: &mut Group, submission: Submission) -> Answered {
-        let (ops, assigned) = self.number(submission.operations)?;
+    fn judge(&mut self, group: &mut Group, submission: Submission) -> Result<Answered, LogError> {
+        let judged = match submission.operations {
+            Operations::Revert(to) => self.judge_revert(group, to)?.map(|judged| (judged, None)),
+            operations => self.judge_operations(operations),
+        };
+        Ok(judged
+            .map(|(judged, assigned)| self.apply(group, judged, assigned, submission.counting)))
+    }
+
+    fn judge_operations(
+        &self,
+        operations: Operations,
+    ) -> Result<(Judged, Option<IdRange>), ServiceError> {
+        let (ops, assigned) = self.number(operations)?;
         let judged = self.engine.judge(&ops).inspect_err(|_| meters::refused())?;
-        let counts = match submission.counting {
+        Ok((judged, assigned))
+    }
+
+    /// What makes the set of cubes what it was at `to`: the changes since undone, newest first, and only the net effect kept.
+    fn judge_revert(
+        &self,
+        group: &Group,
+        to: Seq,
+    ) -> Result<Result<Judged, ServiceError>, LogError> {
+        let newest = group.newest().unwrap_or(self.published).seq;
+        let oldest = self.log.oldest_reachable();
+        if to > newest {
+            return Ok(Err(ServiceError::SeqNotReached { seq: to, newest }));
+        }
+        if to < oldest {
+            return Ok(Err(ServiceError::NotReachable { seq: to, oldest }));
+        }
+        // Where each cube was, as of the oldest change that has touched it.
+        let mut then: HashMap<CubeId, Option<Place>> = HashMap::new();
+        let mut undo = |effect: &Effect| {
+            then.extend(effect.inserted.iter().map(|&(id, _)| (id, None)));
+            then.extend(effect.deleted.iter().map(|&(id, place)| (id, Some(place))));
+        };
+        for record in group.records.iter().rev().filter(|record| record.seq > to) {
+            undo(&record.effect);
+        }
+        if to < self.published.seq {
+            self.log.read_back(to, &mut undo)?;
+        }
+        let mut then: Vec<(CubeId, Option<Place>)> = then.into_iter().collect();
+        then.sort_unstable_by_key(|(id, _)| *id);
+        let mut effect = Effect::default();
+        for (id, then) in then {
+            let now = self.engine.get(id);
+            if now != then {
+                effect.deleted.extend(now.map(|place| (id, place)));
+                effect.inserted.extend(then.map(|place| (id, place)));
+            }
+        }
+        let operations = effect.deleted.len() + effect.inserted.len();
+        if operations > CHANGE_OPERATIONS_MAX {
+            return Ok(Err(too_many(operations)));
+        }
+        let counts = Counts {
+            inserted: effect.inserted.len() as u64,
+            deleted: effect.deleted.len() as u64,
+            unchanged: 0,
+        };
+        Ok(Ok(Judged {
+            effect,
+            in_order: counts,
+            net: counts,
+        }))
+    }
+
+    /// Applies what was judged: the engine is then ahead of the log.
+    fn apply(
+        &mut self,
+        group: &mut Group,
+        judged: Judged,
+        assigned: Option<IdRange>,
+        counting: Counting,
+    ) -> Applied {
+        let counts = match counting {
             Counting::Net => judged.net,
             Counting::InOrder => judged.in_order,
         };
@@ -339,12 +414,12 @@ impl Live {
                 totals: published.totals,
             });
         }
-        Ok(Applied {
+        Applied {
             published,
             counts,
             assigned,
             replayed: false,
-        })
+        }
     }
 
     /// The operations with all their ids. Ids are used up only by a change that is then applied.
@@ -352,6 +427,7 @@ impl Live {
         let (delete, insert) = match operations {
             Operations::Named(ops) => return Ok((ops, None)),
             Operations::Numbered { delete, insert } => (delete, insert),
+            Operations::Revert(_) => unreachable!("what a revert does is read from the log"),
         };
         let mut ops: Vec<Op> = delete.into_iter().map(Op::Delete).collect();
         let wanted = insert.len() as u64;
@@ -451,6 +527,16 @@ impl Group {
             at_ms: record.at_ms,
             totals: record.totals,
         })
+    }
+}
+
+/// The refusal of a change that no record holds.
+pub(super) fn too_many(operations: usize) -> ServiceError {
+    ServiceError::Storage {
+        cause: format!(
+            "a change of {operations} operations is more than the {CHANGE_OPERATIONS_MAX} that one record holds"
+        ),
+        full: false,
     }
 }
 

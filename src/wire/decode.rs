@@ -18,7 +18,7 @@ use super::problem::{Code, Fault, Faults, Problem};
 use super::proto;
 use crate::engine::Op;
 use crate::geometry::{CubeId, Place};
-use crate::service::Operations;
+use crate::service::{Operations, Seq};
 
 const WHOLE: &str = "is not a whole number from 0 to 18446744073709551615";
 
@@ -291,6 +291,30 @@ pub fn settings(body: &[u8]) -> Result<Settings, Problem> {
         }
     }
     Err(faults.into_problem())
+}
+
+/// Reads what to go back to: `{"to":3}`.
+/// # Errors
+/// [`Code::BadJson`], or [`Code::Invalid`] with every fault.
+pub fn revert(body: &[u8]) -> Result<Seq, Problem> {
+    let body = readable(body)?;
+    let mut faults = Faults::default();
+    let Some(members) = Members::read(parse(&body)?, "", &["to"], &mut faults) else {
+        return Err(faults.into_problem());
+    };
+    let mut to = None;
+    if members.get("to").is_none() {
+        faults.push(Fault::at("/to".to_owned(), "is missing", None));
+    }
+    let mut read = Fields {
+        members: &members,
+        faults: &mut faults,
+    };
+    read.take("to", &mut to, |raw| typed(raw, WHOLE).map(Some));
+    match to {
+        Some(to) if faults.is_empty() => Ok(Seq(to)),
+        _ => Err(faults.into_problem()),
+    }
 }
 
 fn too_many(cubes_max: usize) -> Problem {

@@ -50,6 +50,14 @@ pub(super) struct ChangeWanted {
     insert: Option<Vec<CubeWanted>>,
 }
 
+/// Where to go back to.
+#[derive(ToSchema)]
+#[expect(dead_code, reason = "only its shape is used; `decode` reads it")]
+pub(super) struct RevertWanted {
+    /// The seq whose cubes are wanted again.
+    to: u64,
+}
+
 /// A cube to insert.
 #[derive(ToSchema)]
 #[expect(dead_code, reason = "only its shape is used; `decode` reads it")]
@@ -90,7 +98,7 @@ pub(super) struct NamedCube {
     ),
     paths(
         scenes::put_scene, scenes::get_scenes, scenes::get_scene, scenes::delete_scene,
-        changes::post_changes, changes::delete_cube,
+        changes::post_changes, changes::post_revert, changes::delete_cube,
         reads::get_mass_properties, reads::stream_mass_properties, reads::get_history, reads::post_audit,
         reads::get_cube, reads::get_cubes, reads::get_contains,
         operate::get_healthz, operate::get_readyz, operate::get_metrics, operate::get_openapi,
@@ -123,9 +131,9 @@ pub(super) fn text() -> &'static str {
 fn failures(operation: &str) -> &'static [Code] {
     use Code::{
         AuditDifference, BadJson, BadProtobuf, DiskFull, IdConflict, IdsExhausted, KeyReused,
-        NoSuchCube, NoSuchPath, QueueFull, Recovering, RequestTimeout, SceneExists, SceneFull,
-        SeqNotKept, SeqNotReached, ShuttingDown, StorageFailed, TooLarge, UnsupportedMediaType,
-        WaitTimeout,
+        NoSuchCube, NoSuchPath, NotReachable, QueueFull, Recovering, RequestTimeout, SceneExists,
+        SceneFull, SeqNotKept, SeqNotReached, ShuttingDown, StorageFailed, TooLarge,
+        UnsupportedMediaType, WaitTimeout,
     };
     match operation {
         "put_scene" => &[
@@ -148,6 +156,16 @@ fn failures(operation: &str) -> &'static [Code] {
             TooLarge,
             UnsupportedMediaType,
             SceneFull,
+            KeyReused,
+            QueueFull,
+        ],
+        "post_revert" => &[
+            BadJson,
+            RequestTimeout,
+            NotReachable,
+            SeqNotReached,
+            TooLarge,
+            UnsupportedMediaType,
             KeyReused,
             QueueFull,
         ],

@@ -85,6 +85,8 @@ kinds! {
         "Give the ids yourself.";
     SeqNotKept "seq-not-kept" 410 None, "This seq is no longer kept",
         "`oldest` is the oldest whose totals are kept.";
+    NotReachable "seq-not-reachable" 410 None, "This seq can no longer be gone back to",
+        "`oldest` is the oldest that can: the operations of older changes were dropped behind a snapshot. The settings revert_changes_max and revert_bytes_max say how many are kept.";
     TooLarge "too-large" 413 None, "The request is larger than the limits",
         "Split the change, or send application/x-ndjson, which has no limit as a whole.";
     UnsupportedMediaType "unsupported-media-type" 415 None, "The body's type is not taken here",
@@ -337,6 +339,9 @@ impl From<ServiceError> for Problem {
             ServiceError::KeyReused => problem(Code::KeyReused),
             ServiceError::SeqNotKept { oldest, .. } => {
                 problem(Code::SeqNotKept).with("oldest", oldest.0)
+            }
+            ServiceError::NotReachable { oldest, .. } => {
+                problem(Code::NotReachable).with("oldest", oldest.0)
             }
             ServiceError::SeqNotReached { newest, .. } => {
                 problem(Code::SeqNotReached).with("newest", newest.0)

@@ -4,6 +4,7 @@ mod changes;
 mod description;
 mod reads;
 mod refusals;
+mod revert;
 mod scenes;
 mod server;
 mod streams;

@@ -67,6 +67,12 @@ const LANES: usize = 16;
 /// An offset that neither reaches nor covers anything, and has no core.
 const FAR: i16 = i16::MIN;
 
+/// What of a cube is weighed: the points in its core, or the cells in its clip.
+const CORE: usize = 0;
+const CLIP: usize = 1;
+/// Looking for clips within others ends after as many of the others.
+const DROPS_MAX: usize = 8;
+
 /// A list of offsets in the stack. Behind it there is room for a register of [`FAR`].
 #[derive(Clone, Copy)]
 struct List {
@@ -75,9 +81,11 @@ struct List {
 }
 
 impl List {
-    /// Where its registers begin.
-    fn chunks(self) -> impl Iterator<Item = usize> {
-        (self.first..self.first + self.len).step_by(LANES)
+    /// Its part of a column, in whole registers.
+    #[inline]
+    fn of(self, column: &[i16]) -> &[[i16; LANES]] {
+        let end = self.first + self.len.next_multiple_of(LANES);
+        column[self.first..end].as_chunks().0
     }
 
     /// Where the next list can begin.
@@ -91,11 +99,11 @@ static PACKING: [[u8; 16]; 256] = {
     let mut table = [[0; 16]; 256];
     let mut kept = 0;
     while kept < 256 {
-        let (mut lane, mut to) = (0, 0);
+        let (mut lane, mut to) = (0_u8, 0);
         while lane < 8 {
             if kept >> lane & 1 == 1 {
-                table[kept][2 * to] = 2 * lane as u8;
-                table[kept][2 * to + 1] = 2 * lane as u8 + 1;
+                table[kept][2 * to] = 2 * lane;
+                table[kept][2 * to + 1] = 2 * lane + 1;
                 to += 1;
             }
             lane += 1;
@@ -268,9 +276,11 @@ impl FastKernel {
         }
         let zero = _mm256_setzero_si256();
         let mut same = zero;
-        for chunk in list.chunks() {
-            let [x, y, z] = self.chunk(chunk);
-            let any = _mm256_or_si256(_mm256_or_si256(x, y), z);
+        let [x, y, z] = &self.offsets;
+        let (x, y, z) = (list.of(x), list.of(y), list.of(z));
+        for index in 0..x.len() {
+            let any = _mm256_or_si256(chunk(x[index]), chunk(y[index]));
+            let any = _mm256_or_si256(any, chunk(z[index]));
             same = _mm256_or_si256(same, _mm256_cmpeq_epi16(any, zero));
         }
         (_mm256_testz_si256(same, same) == 1).then_some(list)
@@ -282,17 +292,6 @@ impl FastKernel {
                 column.resize(end.next_power_of_two(), FAR);
             }
         }
-    }
-
-    /// Sixteen offsets, an axis each.
-    #[target_feature(enable = "avx2")]
-    #[inline]
-    fn chunk(&self, first: usize) -> [__m256i; 3] {
-        [
-            chunk_of(&self.offsets[0], first),
-            chunk_of(&self.offsets[1], first),
-            chunk_of(&self.offsets[2], first),
-        ]
     }
 
     /// See the portable kernel.
@@ -335,33 +334,51 @@ impl FastKernel {
         let beyond = |low: i32| low - self.edge - 1;
         let reach = [every(points.min.map(beyond)), every(points.max)];
         let cover = [every(own.max.map(beyond)), every(own.min)];
+        let [x, y, z] = &mut self.offsets;
+        let ((x, to_x), (y, to_y), (z, to_z)) = (
+            x.split_at_mut(first),
+            y.split_at_mut(first),
+            z.split_at_mut(first),
+        );
+        let (x, y, z) = (list.of(x), list.of(y), list.of(z));
         let mut len = 0;
-        for chunk in list.chunks() {
-            let offsets = self.chunk(chunk);
+        for index in 0..x.len() {
+            let offsets = [chunk(x[index]), chunk(y[index]), chunk(z[index])];
             let covers = between(&offsets, &cover);
             if _mm256_testz_si256(covers, covers) == 0 {
                 return;
             }
             let kept = between(&offsets, &reach);
             let (low, high) = halves(kept);
-            let kept = _mm_movemask_epi8(_mm_packs_epi16(low, high)).to_le_bytes();
-            for (half, kept) in kept.into_iter().take(2).enumerate() {
-                let packing = sixteen(PACKING[usize::from(kept)]);
-                let at = first + len;
-                for (column, lanes) in self.offsets.iter_mut().zip(offsets) {
-                    let (low, high) = halves(lanes);
-                    let lanes = _mm_shuffle_epi8(if half == 0 { low } else { high }, packing);
-                    let to: &mut [i16; LANES / 2] =
-                        column[at..].first_chunk_mut().expect("room was made");
-                    *to = narrow(lanes);
-                }
-                len += kept.count_ones() as usize;
-            }
+            let [low, high, ..] = _mm_movemask_epi8(_mm_packs_epi16(low, high)).to_le_bytes();
+            let middle = low.count_ones() as usize;
+            let [low_packing, high_packing] =
+                [low, high].map(|kept| sixteen(PACKING[usize::from(kept)]));
+            pack(
+                &mut to_x[len..],
+                offsets[0],
+                low_packing,
+                middle,
+                high_packing,
+            );
+            pack(
+                &mut to_y[len..],
+                offsets[1],
+                low_packing,
+                middle,
+                high_packing,
+            );
+            pack(
+                &mut to_z[len..],
+                offsets[2],
+                low_packing,
+                middle,
+                high_packing,
+            );
+            len += middle + high.count_ones() as usize;
         }
         let kept = List { first, len };
-        for column in &mut self.offsets {
-            column[first + len..first + len + LANES].fill(FAR);
-        }
+        self.pad(kept);
         self.divide::<MODE>(kept, points, sums);
     }
 
@@ -369,34 +386,64 @@ impl FastKernel {
     /// None when all have few.
     #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
     fn largest_core(&self, list: List, points: &Span) -> Option<Span> {
+        let index = self.largest::<CORE>(list, points)?;
+        let mut core = *points;
+        for (axis, column) in self.offsets.iter().enumerate() {
+            // Inside a cube's ends, or on this cube's own face where the other ends there or beyond.
+            let offset = i32::from(column[index]);
+            let low = if offset > 0 { offset + 1 } else { 0 };
+            let high = self.edge + if offset < 0 { offset - 1 } else { 0 };
+            core.min[axis] = core.min[axis].max(low);
+            core.max[axis] = core.max[axis].min(high);
+        }
+        Some(core)
+    }
+
+    /// The cube of a list that has most of a box, or nearly so: of points in its core; or of cells in its clip, where the sum of the
+    /// shares along the axes counts. None when all have hardly any.
+    #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
+    fn largest<const WHAT: usize>(&self, list: List, of: &Span) -> Option<usize> {
         let zero = _mm256_setzero_si256();
         let one = _mm256_set1_epi16(1);
         let edge = _mm256_set1_epi16(lane(self.edge));
-        let low = points.min.map(|low| _mm256_set1_epi16(lane(low)));
-        let high = points.max.map(|high| _mm256_set1_epi16(lane(high)));
-        // As many points along an axis as there are fill the 16 bits of a lane, so that products of high halves compare.
+        let low = of.min.map(|low| _mm256_set1_epi16(lane(low)));
+        let high = of.max.map(|high| _mm256_set1_epi16(lane(high)));
+        // As many along an axis as there are fill the 16 bits of a lane, so that products of high halves compare.
         let shift = [0, 1, 2].map(|axis| {
-            let count = points.max[axis] - points.min[axis] + 1;
+            let count = of.max[axis] - of.min[axis] + i32::from(WHAT == CORE);
             _mm_setr_epi32(count.leading_zeros().cast_signed() - 16, 0, 0, 0)
         });
         let mut best = zero;
         let mut best_chunk = zero;
         let mut number = zero;
-        for chunk in list.chunks() {
-            let offsets = self.chunk(chunk);
+        let [x, y, z] = &self.offsets;
+        let (x, y, z) = (list.of(x), list.of(y), list.of(z));
+        for index in 0..x.len() {
+            let offsets = [chunk(x[index]), chunk(y[index]), chunk(z[index])];
             let count = |axis: usize| {
-                // Inside a cube's ends, or on this cube's own face where the other ends there or beyond.
                 let offset = offsets[axis];
-                let first = _mm256_sub_epi16(offset, _mm256_cmpgt_epi16(offset, zero));
-                let first = _mm256_max_epi16(_mm256_max_epi16(first, zero), low[axis]);
-                let last = _mm256_adds_epi16(offset, _mm256_cmpgt_epi16(zero, offset));
-                let last = _mm256_add_epi16(_mm256_min_epi16(last, zero), edge);
-                let last = _mm256_min_epi16(last, high[axis]);
-                let count = _mm256_add_epi16(_mm256_sub_epi16(last, first), one);
+                let count = if WHAT == CORE {
+                    let from = _mm256_sub_epi16(offset, _mm256_cmpgt_epi16(offset, zero));
+                    let from = _mm256_max_epi16(_mm256_max_epi16(from, zero), low[axis]);
+                    let up_to = _mm256_adds_epi16(offset, _mm256_cmpgt_epi16(zero, offset));
+                    let up_to = _mm256_add_epi16(_mm256_min_epi16(up_to, zero), edge);
+                    let up_to = _mm256_min_epi16(up_to, high[axis]);
+                    _mm256_add_epi16(_mm256_sub_epi16(up_to, from), one)
+                } else {
+                    let end = _mm256_min_epi16(_mm256_adds_epi16(offset, edge), high[axis]);
+                    _mm256_sub_epi16(end, _mm256_max_epi16(offset, low[axis]))
+                };
                 _mm256_sll_epi16(_mm256_max_epi16(count, zero), shift[axis])
             };
-            let share = _mm256_mulhi_epu16(_mm256_mulhi_epu16(count(0), count(1)), count(2));
-            let share = _mm256_srli_epi16::<1>(share);
+            let share = if WHAT == CORE {
+                let share = _mm256_mulhi_epu16(_mm256_mulhi_epu16(count(0), count(1)), count(2));
+                _mm256_srli_epi16::<1>(share)
+            } else {
+                // A product would be lost in rounding for what is thin along two axes; and what contains a clip has a greater
+                // sum, too.
+                let quarter = |axis: usize| _mm256_srli_epi16::<3>(count(axis));
+                _mm256_add_epi16(_mm256_add_epi16(quarter(0), quarter(1)), quarter(2))
+            };
             let better = _mm256_cmpgt_epi16(share, best);
             best = _mm256_max_epi16(best, share);
             best_chunk = _mm256_blendv_epi8(best_chunk, number, better);
@@ -404,19 +451,86 @@ impl FastKernel {
         }
         let (shares, chunks) = (rows_of(best), rows_of(best_chunk));
         let lane = (0..LANES).max_by_key(|&lane| shares[lane])?;
-        if shares[lane] == 0 {
-            return None;
-        }
         let index = list.first + LANES * usize::from(chunks[lane]) + lane;
-        let mut core = *points;
-        for (axis, column) in self.offsets.iter().enumerate() {
-            let offset = i32::from(column[index]);
-            let first = if offset > 0 { offset + 1 } else { 0 };
-            let last = self.edge + if offset < 0 { offset - 1 } else { 0 };
-            core.min[axis] = core.min[axis].max(first);
-            core.max[axis] = core.max[axis].min(last);
+        (shares[lane] > 0).then_some(index)
+    }
+
+    /// Drops cubes whose clips are within that of another, the largest first, until few are left or it does not pay.
+    #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
+    fn drop_covered(&mut self, mut list: List, points: &Span, few: usize) -> List {
+        let cells = points.grown();
+        let mut largest = Vec::new();
+        while list.len + largest.len() > few && largest.len() < DROPS_MAX {
+            let Some(index) = self.largest::<CLIP>(list, &cells) else {
+                break;
+            };
+            let offset = [0, 1, 2].map(|axis| self.offsets[axis][index]);
+            let mut bounds = [[_mm256_setzero_si256(); 3]; 2];
+            for axis in 0..3 {
+                // Beyond the cells it does not matter how far a cube goes.
+                let (min, max) = (i32::from(offset[axis]), i32::from(offset[axis]) + self.edge);
+                let above = if min <= cells.min[axis] {
+                    FAR
+                } else {
+                    lane(min - 1)
+                };
+                let up_to = if max >= cells.max[axis] {
+                    i16::MAX
+                } else {
+                    lane(max - self.edge)
+                };
+                bounds[0][axis] = _mm256_set1_epi16(above);
+                bounds[1][axis] = _mm256_set1_epi16(up_to);
+            }
+            let far = _mm256_set1_epi16(FAR);
+            let before = list.len;
+            let chunks = list.len.div_ceil(LANES);
+            list.len = 0;
+            for number in 0..chunks {
+                let first = list.first + LANES * number;
+                let offsets = [0, 1, 2].map(|axis| {
+                    chunk(
+                        *self.offsets[axis][first..]
+                            .first_chunk()
+                            .expect("a list is padded"),
+                    )
+                });
+                let there = _mm256_cmpgt_epi16(offsets[0], far);
+                let kept = _mm256_andnot_si256(between(&offsets, &bounds), there);
+                let (low, high) = halves(kept);
+                let [low, high, ..] = _mm_movemask_epi8(_mm_packs_epi16(low, high)).to_le_bytes();
+                let middle = low.count_ones() as usize;
+                let [low_packing, high_packing] =
+                    [low, high].map(|kept| sixteen(PACKING[usize::from(kept)]));
+                // What is written here has been read: it is never more than that.
+                for (column, lanes) in self.offsets.iter_mut().zip(offsets) {
+                    let to = &mut column[list.first + list.len..];
+                    pack(to, lanes, low_packing, middle, high_packing);
+                }
+                list.len += middle + high.count_ones() as usize;
+            }
+            largest.push(offset);
+            self.pad(list);
+            if before - list.len < 2 {
+                break;
+            }
         }
-        Some(core)
+        self.make_room(list.padded_end() + largest.len());
+        for offset in largest {
+            for (column, offset) in self.offsets.iter_mut().zip(offset) {
+                column[list.first + list.len] = offset;
+            }
+            list.len += 1;
+        }
+        self.pad(list);
+        list
+    }
+
+    fn pad(&mut self, list: List) {
+        let end = list.first + list.len;
+        for column in &mut self.offsets {
+            column[end..end + LANES].fill(FAR);
+        }
     }
 
     /// No cube has much of a core: drop clips within others, then use the planes as they are, or halve the points at the
@@ -428,6 +542,7 @@ impl FastKernel {
         points: &Span,
         sums: &mut [Sums<i128>; 3],
     ) {
+        let list = self.drop_covered(list, points, const { leaf_clips::<MODE>() });
         self.clip(list, points);
         let list = self.drop_dominated(list);
         let box16 = boxed(points);
@@ -479,42 +594,65 @@ impl FastKernel {
         let edge = _mm_setr_epi32(-self.edge, -self.edge, -self.edge, 0);
         self.clips.clear();
         let range = list.first..list.first + list.len;
-        let [x, y, z] = [0, 1, 2].map(|axis| self.offsets[axis][range.clone()].iter());
-        self.clips.extend(x.zip(y).zip(z).map(|((&x, &y), &z)| {
-            let low = _mm_setr_epi32(x.into(), y.into(), z.into(), 0);
-            _mm_max_epi16(_mm_packs_epi32(low, _mm_sub_epi32(edge, low)), cells)
-        }));
+        let (x, y, z) = (
+            &self.offsets[0][range.clone()],
+            &self.offsets[1][range.clone()],
+            &self.offsets[2][range],
+        );
+        // A plain loop: what is called from an iterator is not compiled for these instructions.
+        for index in 0..list.len {
+            let (x, y, z) = (x[index].into(), y[index].into(), z[index].into());
+            let low = _mm_setr_epi32(x, y, z, 0);
+            let clip = _mm_packs_epi32(low, _mm_sub_epi32(edge, low));
+            self.clips.push(_mm_max_epi16(clip, cells));
+        }
     }
 
     /// Drops clips within others, and their cubes from the list.
     #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
     fn drop_dominated(&mut self, list: List) -> List {
+        // What is kept is never within another, so there are few to compare with.
         let mut kept = 0;
         for index in 0..list.len {
             let clip = self.clips[index];
-            // Of equal clips the first stays.
-            let dominated = self.clips[..kept]
-                .iter()
-                .any(|&other| contains(other, clip))
-                || self.clips[index + 1..]
-                    .iter()
-                    .any(|&other| contains(other, clip) && !contains(clip, other));
-            if !dominated {
-                self.clips[kept] = clip;
-                for column in &mut self.offsets {
-                    column[list.first + kept] = column[list.first + index];
-                }
-                kept += 1;
+            if self.is_within(kept, clip) {
+                continue;
             }
+            let mut stays = 0;
+            for earlier in 0..kept {
+                if !contains(clip, self.clips[earlier]) {
+                    self.keep(list, earlier, stays);
+                    stays += 1;
+                }
+            }
+            self.keep(list, index, stays);
+            kept = stays + 1;
         }
         self.clips.truncate(kept);
-        let end = list.first + kept;
-        for column in &mut self.offsets {
-            column[end..end + LANES].fill(FAR);
-        }
-        List {
+        let list = List {
             first: list.first,
             len: kept,
+        };
+        self.pad(list);
+        list
+    }
+
+    /// Whether a clip is within one of the first `kept`.
+    #[target_feature(enable = "avx2")]
+    #[inline]
+    fn is_within(&self, kept: usize, clip: Box16) -> bool {
+        for &other in &self.clips[..kept] {
+            if contains(other, clip) {
+                return true;
+            }
+        }
+        false
+    }
+
+    fn keep(&mut self, list: List, index: usize, to: usize) {
+        self.clips[to] = self.clips[index];
+        for column in &mut self.offsets {
+            column[list.first + to] = column[list.first + index];
         }
     }
 
@@ -587,7 +725,7 @@ impl FastKernel {
             let pattern = _mm256_and_si256(y, _mm256_set1_epi16(bits(x).cast_signed()));
             let layers = _mm256_movemask_epi8(z).cast_unsigned();
             let begin = (layers.trailing_zeros() / 2) as usize;
-            let last = ((31 - layers.leading_zeros()) / 2) as usize;
+            let last = (layers.ilog2() / 2) as usize;
             if begin == 0 {
                 up_to[last] = _mm256_or_si256(up_to[last], pattern);
             } else if last == CELLS - 1 {
@@ -648,12 +786,9 @@ impl FastKernel {
             min: [0; 3],
             max: [0; 3],
         };
-        for axis in 0..3 {
+        for (axis, used) in used.into_iter().enumerate() {
             let (left, right) = (rows_of(planes.left[axis]), rows_of(planes.right[axis]));
-            let (begin, last) = (
-                used[axis].trailing_zeros() as usize,
-                used[axis].ilog2() as usize,
-            );
+            let (begin, last) = (used.trailing_zeros() as usize, used.ilog2() as usize);
             span.min[axis] = i32::from(left[begin].cast_signed());
             span.max[axis] = i32::from(right[last].cast_signed());
         }
@@ -670,23 +805,20 @@ impl FastKernel {
         newly: &[Layer; CELLS + 1],
         sums: &mut [Sums<i128>; 3],
     ) {
-        let zero = _mm256_setzero_si256();
-        let at = planes
-            .right
-            .map(|right| rows_of(right).map(u16::cast_signed));
+        let at = [
+            signed_rows_of(planes.right[0]),
+            signed_rows_of(planes.right[1]),
+            signed_rows_of(planes.right[2]),
+        ];
         let points = unboxed(points);
         // Points are planes within the box of points.
-        let valid = [0, 1, 2].map(|axis| {
-            let low = _mm256_set1_epi16(lane(points.min[axis] - 1));
-            let high = _mm256_set1_epi16(lane(points.max[axis]));
-            let right = planes.right[axis];
-            _mm256_andnot_si256(
-                _mm256_cmpgt_epi16(right, high),
-                _mm256_cmpgt_epi16(right, low),
-            )
-        });
-        let valid_z = _mm256_movemask_epi8(valid[2]).cast_unsigned();
-        let within = _mm256_and_si256(valid[1], _mm256_set1_epi16(bits(valid[0]).cast_signed()));
+        let [x, y, z] = [
+            within(planes.right[0], points.min[0], points.max[0]),
+            within(planes.right[1], points.min[1], points.max[1]),
+            within(planes.right[2], points.min[2], points.max[2]),
+        ];
+        let valid_z = _mm256_movemask_epi8(z).cast_unsigned();
+        let valid = _mm256_and_si256(y, _mm256_set1_epi16(bits(x).cast_signed()));
         let material = if MODE == ACROSS {
             Material::new(self.stock, &planes.left, &planes.minus)
         } else {
@@ -702,26 +834,8 @@ impl FastKernel {
                 lower = upper;
                 continue;
             }
-            let varies_x = _mm256_or_si256(lower.varies_x, upper.varies_x);
-            let varies_y = _mm256_or_si256(lower.varies_y, upper.varies_y);
-            let varies_z = _mm256_or_si256(
-                _mm256_xor_si256(lower.before, upper.before),
-                _mm256_xor_si256(lower.after, upper.after),
-            );
-            let mut x = _mm256_or_si256(varies_x, next_row(varies_x));
-            let mut y = _mm256_or_si256(varies_y, next_column(varies_y));
-            let mut z_too = dilated(varies_z);
-            if MODE == ACROSS {
-                x = _mm256_or_si256(x, material.varies_x);
-                y = _mm256_or_si256(y, material.varies_y);
-                if material.varies_z >> (2 * z) & 1 == 1 {
-                    z_too = _mm256_cmpeq_epi16(zero, zero);
-                }
-            }
-            let candidates = _mm256_and_si256(
-                _mm256_and_si256(_mm256_and_si256(x, y), z_too),
-                _mm256_and_si256(dilated(near), within),
-            );
+            let mut candidates = Shape::vertices::<MODE>(&lower, &upper, &material, z);
+            candidates = _mm256_and_si256(candidates, _mm256_and_si256(dilated(near), valid));
             if _mm256_testz_si256(candidates, candidates) == 0 {
                 let before = around(lower.before, upper.before);
                 let after = around(lower.after, upper.after);
@@ -813,13 +927,41 @@ impl Shape {
     }
 }
 
+impl Shape {
+    /// Points above plane `z` at which the mask may vary along all three axes, before or after.
+    #[target_feature(enable = "avx2")]
+    #[inline]
+    fn vertices<const MODE: Mode>(
+        lower: &Self,
+        upper: &Self,
+        material: &Material,
+        z: usize,
+    ) -> Layer {
+        let varies_x = _mm256_or_si256(lower.varies_x, upper.varies_x);
+        let varies_y = _mm256_or_si256(lower.varies_y, upper.varies_y);
+        let varies_z = _mm256_or_si256(
+            _mm256_xor_si256(lower.before, upper.before),
+            _mm256_xor_si256(lower.after, upper.after),
+        );
+        let mut along_x = _mm256_or_si256(varies_x, next_row(varies_x));
+        let mut along_y = _mm256_or_si256(varies_y, next_column(varies_y));
+        let mut along_z = dilated(varies_z);
+        if MODE == ACROSS {
+            along_x = _mm256_or_si256(along_x, material.varies_x);
+            along_y = _mm256_or_si256(along_y, material.varies_y);
+            along_z = _mm256_or_si256(along_z, material.varies_z[z]);
+        }
+        _mm256_and_si256(_mm256_and_si256(along_x, along_y), along_z)
+    }
+}
+
 /// Which octants around a point hold material of the stock: what holds for each of its coordinates.
 struct Material {
     octants: [[u16; CELLS]; 3],
     varies_x: Layer,
     varies_y: Layer,
-    /// Two bits a plane.
-    varies_z: u32,
+    /// By plane: all points or none.
+    varies_z: [Layer; CELLS],
 }
 
 /// Octants below and above, by axis.
@@ -833,7 +975,7 @@ impl Material {
             octants: [[0; CELLS]; 3],
             varies_x: _mm256_setzero_si256(),
             varies_y: _mm256_setzero_si256(),
-            varies_z: 0,
+            varies_z: [_mm256_setzero_si256(); CELLS],
         }
     }
 
@@ -853,7 +995,7 @@ impl Material {
             octants,
             varies_x: _mm256_set1_epi16(bits(x).cast_signed()),
             varies_y: y,
-            varies_z: _mm256_movemask_epi8(z).cast_unsigned(),
+            varies_z: rows_of(z).map(|all| _mm256_set1_epi16(all.cast_signed())),
         }
     }
 
@@ -1030,9 +1172,8 @@ fn mask_at(around: &[[u64; 4]; 4], row: usize, column: u32) -> u8 {
 #[target_feature(enable = "avx2")]
 #[inline]
 fn boxed(span: &Span) -> Box16 {
-    let [x, y, z] = span.min.map(lane);
-    let [u, v, w] = span.max.map(|high| lane(-high));
-    _mm_setr_epi16(x, y, z, 0, u, v, w, 0)
+    let (low, high) = (span.min.map(lane), span.max.map(|high| lane(-high)));
+    _mm_setr_epi16(low[0], low[1], low[2], 0, high[0], high[1], high[2], 0)
 }
 
 #[inline]
@@ -1089,8 +1230,9 @@ fn cells_of(clip: Box16, left: &[__m256i; 3], minus: &[__m256i; 3]) -> [__m256i;
         let mut bytes = [0; 16];
         let mut index = 0;
         while index < 16 {
-            bytes[index] = 2 * lane + (index & 1) as u8;
-            index += 1;
+            bytes[index] = 2 * lane;
+            bytes[index + 1] = 2 * lane + 1;
+            index += 2;
         }
         bytes
     }
@@ -1099,33 +1241,38 @@ fn cells_of(clip: Box16, left: &[__m256i; 3], minus: &[__m256i; 3]) -> [__m256i;
     let clip = _mm256_broadcastsi128_si256(clip);
     let spread =
         |lanes: [u8; 16]| _mm256_shuffle_epi8(clip, _mm256_broadcastsi128_si256(sixteen(lanes)));
-    [0, 1, 2].map(|axis| {
-        let low = spread(LOW[axis]);
-        let minus_high = spread(HIGH[axis]);
+    let cells = |axis: usize| {
         _mm256_andnot_si256(
-            _mm256_cmpgt_epi16(low, left[axis]),
-            _mm256_cmpgt_epi16(minus[axis], minus_high),
+            _mm256_cmpgt_epi16(spread(LOW[axis]), left[axis]),
+            _mm256_cmpgt_epi16(minus[axis], spread(HIGH[axis])),
         )
-    })
+    };
+    [cells(0), cells(1), cells(2)]
 }
 
 /// Lanes above the first bound and not above the second, on all axes.
 #[target_feature(enable = "avx2")]
 #[inline]
 fn between(offsets: &[__m256i; 3], bounds: &[[__m256i; 3]; 2]) -> __m256i {
-    let [x, y, z] = [0, 1, 2].map(|axis| {
-        _mm256_andnot_si256(
-            _mm256_cmpgt_epi16(offsets[axis], bounds[1][axis]),
-            _mm256_cmpgt_epi16(offsets[axis], bounds[0][axis]),
-        )
-    });
-    _mm256_and_si256(_mm256_and_si256(x, y), z)
+    let mut inside = _mm256_andnot_si256(
+        _mm256_cmpgt_epi16(offsets[0], bounds[1][0]),
+        _mm256_cmpgt_epi16(offsets[0], bounds[0][0]),
+    );
+    for axis in 1..3 {
+        inside = _mm256_and_si256(inside, _mm256_cmpgt_epi16(offsets[axis], bounds[0][axis]));
+        inside = _mm256_andnot_si256(_mm256_cmpgt_epi16(offsets[axis], bounds[1][axis]), inside);
+    }
+    inside
 }
 
+/// Writes the packed lanes of the lower half, and from `middle` on those of the upper half.
 #[target_feature(enable = "avx2")]
 #[inline]
-fn chunk_of(column: &[i16], first: usize) -> __m256i {
-    chunk(*column[first..].first_chunk().expect("a list is padded"))
+fn pack(to: &mut [i16], lanes: __m256i, low: __m128i, middle: usize, high: __m128i) {
+    const HALF: usize = LANES / 2;
+    let (first, second) = halves(lanes);
+    to[..HALF].copy_from_slice(&narrow(_mm_shuffle_epi8(first, low)));
+    to[middle..middle + HALF].copy_from_slice(&narrow(_mm_shuffle_epi8(second, high)));
 }
 
 #[target_feature(enable = "avx2")]
@@ -1134,6 +1281,16 @@ fn halves(lanes: __m256i) -> (__m128i, __m128i) {
     (
         _mm256_castsi256_si128(lanes),
         _mm256_extracti128_si256::<1>(lanes),
+    )
+}
+
+/// Lanes from one bound to another, both included.
+#[target_feature(enable = "avx2")]
+#[inline]
+fn within(lanes: __m256i, min: i32, max: i32) -> __m256i {
+    _mm256_andnot_si256(
+        _mm256_cmpgt_epi16(lanes, _mm256_set1_epi16(lane(max))),
+        _mm256_cmpgt_epi16(lanes, _mm256_set1_epi16(lane(min - 1))),
     )
 }
 
@@ -1252,6 +1409,7 @@ macro_rules! recast {
 
 recast! {
     rows_of: __m256i => [u16; 16];
+    signed_rows_of: __m256i => [i16; 16];
     lanes32: __m256i => [i32; 8];
     words: __m256i => [u64; 4];
     chunk: [i16; 16] => __m256i;

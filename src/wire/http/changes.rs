@@ -86,6 +86,29 @@ pub(super) fn answer(
     })
 }
 
+fn applied_answer(
+    scene: &Scene,
+    settings: &Settings,
+    wanted: Return,
+    applied: &Applied,
+) -> Response {
+    let Applied {
+        published,
+        counts,
+        assigned,
+        replayed,
+    } = applied;
+    let mut response =
+        answer(scene, settings, wanted, published, *counts, *assigned).into_response();
+    if *replayed {
+        response.headers_mut().insert(
+            HeaderName::from_static("idempotency-replayed"),
+            HeaderValue::from_static("true"),
+        );
+    }
+    response
+}
+
 /// Insert and delete cubes
 ///
 /// `application/json` and `application/x-protobuf` (the message `union3d.v1.Change`) are one atomic change: deletions first, all or
@@ -147,6 +170,52 @@ pub(super) async fn post_changes(
         wanted,
     };
     within(time, Arc::new(change).apply(key)).await
+}
+
+/// Go back
+///
+/// Makes the scene's set of cubes what it was at an earlier seq, as one new change: the history stays as it is, and going forward
+/// again is going back to a later seq. Takes time in proportion to the operations since. The limit of cubes of a change does not
+/// apply. Nothing happens, and no seq is taken, when the cubes are those of that seq already.
+#[utoipa::path(
+    post, path = "/v1/scenes/{scene}/revert", tag = "changes",
+    params(
+        ("scene" = String, Path, description = "Name of the scene", example = "pocket"),
+        ("return" = Option<String>, Query, description = "`minimal` leaves `mass_properties` out", example = "minimal"),
+        ("Idempotency-Key" = Option<String>, Header, description = "As of a change"),
+    ),
+    request_body(content((inline(crate::wire::openapi::RevertWanted) = "application/json", example = json!({"to": 3})))),
+    responses((status = 200, description = "Durable", body = Answer,
+        headers(("Idempotency-Replayed" = String, description = "`true` when this is the recorded answer to an earlier request"))))
+)]
+pub(super) async fn post_revert(
+    State(app): State<App>,
+    Path(name): Path<String>,
+    parameters: Parameters,
+    headers: HeaderMap,
+    body: Body,
+) -> Result<Response, Problem> {
+    let wanted = returned(parameters.only(&["return"])?.minimal()?);
+    let (scene, settings) = scenes::open(&app, &name)?;
+    let key = idempotency_key(&headers)?;
+    body_type(&headers, &[BodyType::Json])?;
+    let body = request::read(&headers, body, &app.limits, &app.room).await?;
+    let to = decode::revert(&body.bytes)?;
+    let digest = || {
+        Sha256::new()
+            .chain_update(b"revert")
+            .chain_update([0])
+            .chain_update(&body.bytes)
+            .finalize()
+            .into()
+    };
+    let submission = Submission {
+        operations: Operations::Revert(to),
+        counting: Counting::Net,
+        key: key.map(|key| (key, digest())),
+    };
+    let applied = scene.change(submission).await?;
+    Ok(applied_answer(&scene, &settings, wanted, &applied))
 }
 
 /// Delete one cube
@@ -213,7 +282,12 @@ impl Atomic {
             key,
         };
         match self.scene.change(submission).await {
-            Ok(applied) => Ok(self.answer(&applied)),
+            Ok(applied) => Ok(applied_answer(
+                &self.scene,
+                &self.settings,
+                self.wanted,
+                &applied,
+            )),
             Err(ServiceError::Rejected(rejected @ Rejected::IdConflict { .. })) => {
                 // Either the scene has the id elsewhere, or the change itself names two places. The engine cannot tell them apart.
                 self.off_thread(Self::duplicates).await?;
@@ -223,25 +297,6 @@ impl Atomic {
             }
             Err(error) => Err(error.into()),
         }
-    }
-
-    fn answer(&self, applied: &Applied) -> Response {
-        let mut response = answer(
-            &self.scene,
-            &self.settings,
-            self.wanted,
-            &applied.published,
-            applied.counts,
-            applied.assigned,
-        )
-        .into_response();
-        if applied.replayed {
-            response.headers_mut().insert(
-                HeaderName::from_static("idempotency-replayed"),
-                HeaderValue::from_static("true"),
-            );
-        }
-        response
     }
 
     fn decode(&self) -> Result<Decoded, Problem> {

@@ -104,6 +104,7 @@ fn bounded_routes() -> Vec<Route> {
 fn unbounded_routes() -> Vec<Route> {
     vec![
         ("/v1/scenes/{scene}/changes", post(changes::post_changes)),
+        ("/v1/scenes/{scene}/revert", post(changes::post_revert)),
         (
             "/v1/scenes/{scene}/mass-properties/stream",
             get(reads::stream_mass_properties),
