@@ -15,6 +15,7 @@
 //! are those of [`recount`].
 
 mod audit;
+mod bare;
 mod batch;
 mod bins;
 mod certificates;
@@ -33,6 +34,7 @@ use std::thread::available_parallelism;
 use crate::geometry::{CUBES_MAX, CubeId, Edge, Effect, Place, Stock, Totals};
 
 pub use audit::recount;
+pub use bare::Bare;
 use batch::{AHEAD, BATCH_MIN, Helper};
 use certificates::Certificates;
 use grid::Grid;
