@@ -1,6 +1,8 @@
 //! Where the cubes of a program go: into an engine in this process, or to a server.
 
+use serde_json::Value;
 use serde_json::value::RawValue;
+use uuid::Uuid;
 
 use super::super::client::Client;
 use super::tally::Cut;
@@ -28,6 +30,18 @@ pub(super) struct State {
 }
 
 impl State {
+    /// From the API's mass properties; none when they are not that.
+    fn read(properties: &Value) -> Option<Self> {
+        let exact = |value: &Value| value["exact"]["volume"].as_str()?.parse().ok();
+        Some(Self {
+            removed: match &properties["removed"] {
+                Value::Null => exact(properties)?,
+                removed => exact(removed)?,
+            },
+            area: properties["exact"]["area"].as_str()?.parse().ok()?,
+        })
+    }
+
     fn of(totals: &Totals) -> Self {
         Self {
             removed: match &totals.stock {
@@ -80,6 +94,9 @@ pub(super) enum Target {
         client: Client,
         next_id: u64,
         state: State,
+        /// Names this run in the keys of its changes.
+        run: Uuid,
+        changes: u64,
     },
 }
 
@@ -95,11 +112,14 @@ impl Target {
         client: Client,
         largest_id: u64,
     ) -> Result<Self, Box<dyn std::error::Error>> {
-        let state = client.state().await?;
+        let properties = client.mass_properties().await?;
+        let state = state(&serde_json::from_str(properties.get())?)?;
         Ok(Self::Http {
             client,
             next_id: largest_id + 1,
             state,
+            run: Uuid::new_v4(),
+            changes: 0,
         })
     }
 
@@ -124,11 +144,18 @@ impl Target {
             Self::Http {
                 client,
                 next_id,
-                state,
+                state: last,
+                run,
+                changes,
             } => {
-                let after = client.cut(*next_id, &part).await?;
+                *changes += 1;
+                let key = format!("{}-{changes}", run.simple());
+                let answer = client
+                    .move_and_measure(*next_id, &part.places, part.line, part.duration, &key)
+                    .await?;
                 *next_id += part.places.len() as u64;
-                let before = std::mem::replace(state, after);
+                let after = state(&answer)?;
+                let before = std::mem::replace(last, after);
                 Ok(vec![part.cut(before, after)])
             }
         }
@@ -148,4 +175,10 @@ impl Target {
             Self::Http { client, .. } => (vec![], client.mass_properties().await?),
         })
     }
+}
+
+fn state(properties: &Value) -> Result<State, String> {
+    State::read(properties).ok_or_else(|| {
+        "cannot make sense of the server's mass properties (is it of the same version?)".to_owned()
+    })
 }
