@@ -6,6 +6,7 @@ mod random;
 mod voxels;
 
 use std::collections::BTreeMap;
+use std::num::NonZero;
 
 use random::Random;
 use union3d::engine::{Cursor, Engine, Inconsistent, Op, Rejected, Side, recount};
@@ -249,6 +250,115 @@ fn churning_crowds_agree_with_a_plain_engine() {
         let rest = present.iter().map(|(_, place)| *place);
         assert_eq!(fast.totals(), recount(edge, stock, rest), "seed {seed}");
     }
+}
+
+/// Many cubes in one change, with ties and twins, come and go in small worlds: voxels agree, with every number of threads
+/// and every width of bins.
+#[test]
+fn batches_agree_with_voxels() {
+    for seed in 0..150 {
+        let mut random = Random::new(6_000_000 + seed);
+        let edge = Edge::new(random.within(1, 9)).unwrap();
+        let world = random.within(3, 20);
+        let mut engines: Vec<Engine> = (0..5)
+            .map(|shift| {
+                Engine::with_bins(edge, shift).with_threads(threads(seed as usize % 3 + 1))
+            })
+            .collect();
+        engines.push(Engine::new(edge));
+        engines.push(Engine::plain(edge));
+        let mut present: Vec<(CubeId, Place)> = Vec::new();
+        for change in 0..8 {
+            let mut effect = Effect::default();
+            for _ in 0..random.within(0, 100).min(present.len() as i64) {
+                let index = random.below(present.len() as u64) as usize;
+                effect.deleted.push(present.swap_remove(index));
+            }
+            for id in 0..random.within(0, 100) {
+                let corner = [0; 3].map(|_: i32| random.within(0, world));
+                let place = Place::new(corner, edge).unwrap();
+                effect
+                    .inserted
+                    .push((CubeId(change * 1000 + id as u64), place));
+            }
+            present.extend(&effect.inserted);
+            let places: Vec<Place> = present.iter().map(|(_, place)| *place).collect();
+            let expected = voxels::totals(edge, None, &places);
+            for (number, engine) in engines.iter_mut().enumerate() {
+                engine.apply(&effect).unwrap();
+                assert_eq!(
+                    engine.totals(),
+                    expected,
+                    "seed {seed}, change {change}, {number}"
+                );
+            }
+        }
+    }
+}
+
+/// Batches large enough for several slices and several threads give the totals of the same cubes one by one, from sparse to
+/// crowded, in planes and in one spot, and leave nothing behind.
+#[test]
+fn large_batches_agree_with_single_changes() {
+    for seed in 0..12 {
+        let mut random = Random::new(7_000_000 + seed);
+        let edge = Edge::new(random.within(10, 60)).unwrap();
+        let reach = i64::from(edge.steps()) * [20, 8, 3, 1][seed as usize % 4];
+        let flat = seed as usize % 5;
+        let stock = (seed % 3 == 0).then(|| Stock::new([-reach / 2; 3], [reach; 3]).unwrap());
+        let mut engines: Vec<Engine> = (1..=3)
+            .map(|count| {
+                Engine::new(edge)
+                    .with_stock(stock)
+                    .with_threads(threads(count))
+            })
+            .collect();
+        let mut single = Engine::new(edge).with_stock(stock);
+        let mut present: Vec<(CubeId, Place)> = Vec::new();
+        for (change, count) in [9000, 3000, 6000, 0, 100].into_iter().enumerate() {
+            let mut effect = Effect::default();
+            let going = if count == 0 { 0 } else { present.len() / 3 };
+            for _ in 0..going {
+                let index = random.below(present.len() as u64) as usize;
+                effect.deleted.push(present.swap_remove(index));
+            }
+            for id in 0..count {
+                let mut corner = [0; 3].map(|_: i32| random.within(-reach, reach));
+                if flat < 3 {
+                    corner[flat] = 0;
+                }
+                let place = Place::new(corner, edge).unwrap();
+                effect
+                    .inserted
+                    .push((CubeId(change as u64 * 10_000 + id), place));
+            }
+            if count == 0 {
+                effect.deleted = std::mem::take(&mut present);
+            }
+            present.extend(&effect.inserted);
+            for cube in &effect.deleted {
+                let deleted = vec![*cube];
+                let inserted = vec![];
+                single.apply(&Effect { deleted, inserted }).unwrap();
+            }
+            for cube in &effect.inserted {
+                let (deleted, inserted) = (vec![], vec![*cube]);
+                single.apply(&Effect { deleted, inserted }).unwrap();
+            }
+            for engine in &mut engines {
+                engine.apply(&effect).unwrap();
+                assert_eq!(
+                    engine.totals(),
+                    single.totals(),
+                    "seed {seed}, change {change}"
+                );
+            }
+        }
+    }
+}
+
+fn threads(count: usize) -> NonZero<usize> {
+    NonZero::new(count).unwrap()
 }
 
 /// Every width of the kernel's sums and lanes, up to the widest edge and far from the origin, against the plain one.

@@ -9,8 +9,8 @@ use futures_util::future::join_all;
 use union3d::engine::{Op, recount};
 use union3d::geometry::{CubeId, Edge, Place};
 use union3d::service::{
-    Applied, Counting, Operations, Scene, SceneName, SceneState, Seq, Service, ServiceConfig,
-    ServiceError, Submission,
+    Applied, Counting, Motion, Operations, Scene, SceneName, SceneState, Seq, Service,
+    ServiceConfig, ServiceError, Submission,
 };
 
 #[path = "oracle/random.rs"]
@@ -46,6 +46,7 @@ fn submission(operations: Operations, key: Option<(&str, u8)>) -> Submission {
     Submission {
         operations,
         counting: Counting::Net,
+        motion: Motion::default(),
         key: key.map(|(key, body)| (key.into(), [body; 32])),
     }
 }
@@ -82,7 +83,7 @@ async fn any_earlier_state_comes_back() {
         let directory = tempfile::tempdir().unwrap();
         let mut service = start(directory.path(), 1_000);
         let name = SceneName::new("s").unwrap();
-        service.create(&name, edge(), "{}").await.unwrap();
+        service.create(&name, edge(), None, "{}").await.unwrap();
         // The cubes at every seq.
         let mut states: Vec<Cubes> = vec![Cubes::new()];
         for round in 0..25 {
@@ -149,7 +150,7 @@ async fn what_has_not_come_is_refused_and_a_key_is_answered_once() {
     let directory = tempfile::tempdir().unwrap();
     let service = start(directory.path(), 1_000);
     let name = SceneName::new("s").unwrap();
-    let (here, _) = service.create(&name, edge(), "{}").await.unwrap();
+    let (here, _) = service.create(&name, edge(), None, "{}").await.unwrap();
     for id in 0..3 {
         let place = Place::new([id * 10, 0, 0], edge()).unwrap();
         let ops = vec![Op::Insert(CubeId(id as u64), place)];
@@ -193,7 +194,7 @@ async fn how_far_back_is_a_setting() {
     let directory = tempfile::tempdir().unwrap();
     let service = start(directory.path(), KEPT);
     let name = SceneName::new("s").unwrap();
-    let (here, _) = service.create(&name, edge(), "{}").await.unwrap();
+    let (here, _) = service.create(&name, edge(), None, "{}").await.unwrap();
     let mut random = Random::new(3);
     let mut live: Vec<CubeId> = Vec::new();
     let mut totals = Vec::new();

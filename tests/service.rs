@@ -11,8 +11,8 @@ use union3d::engine::{Counts, Op, Rejected, Side, recount};
 use union3d::geometry::{CubeId, Edge, Place, Totals};
 use union3d::log::{Keep, Log, LogError, Replayed, SceneLog};
 use union3d::service::{
-    Applied, Counting, FaultHook, FaultStep, Operations, Published, Readiness, Scene, SceneName,
-    SceneState, Seq, Service, ServiceConfig, ServiceError, Submission,
+    Applied, Counting, FaultHook, FaultStep, Motion, Operations, Published, Readiness, Scene,
+    SceneName, SceneState, Seq, Service, ServiceConfig, ServiceError, Submission,
 };
 
 const EDGE: i64 = 3;
@@ -57,7 +57,11 @@ fn start(directory: &Path) -> Service {
 }
 
 async fn create(service: &Service, text: &str) -> Arc<Scene> {
-    service.create(&name(text), edge(), "{}").await.unwrap().0
+    service
+        .create(&name(text), edge(), None, "{}")
+        .await
+        .unwrap()
+        .0
 }
 
 /// Polls until `condition` gives something; a failure says what it waited for.
@@ -85,6 +89,7 @@ fn named(ops: Vec<Op>) -> Submission {
     Submission {
         operations: Operations::Named(ops),
         counting: Counting::Net,
+        motion: Motion::default(),
         key: None,
     }
 }
@@ -100,6 +105,7 @@ fn numbered(places: Vec<Place>, key: Option<(&str, u8)>) -> Submission {
             insert: places,
         },
         counting: Counting::Net,
+        motion: Motion::default(),
         key: key.map(|(key, body)| (key.into(), [body; 32])),
     }
 }
@@ -293,7 +299,10 @@ async fn random_changes_agree_with_a_plain_map_through_restarts() {
         for state in &states {
             assert_eq!(scene.at(state.seq).await.unwrap(), *state);
         }
-        let rows = scene.history(Seq(1), Seq(u64::MAX), 1000).await.unwrap();
+        let rows = scene
+            .history(Seq(1), Seq(u64::MAX), None, 1000)
+            .await
+            .unwrap();
         assert_eq!(rows.len(), states.len() - 1);
         for (row, state) in rows.iter().zip(&states[1..]) {
             assert_eq!(
@@ -632,7 +641,10 @@ async fn a_full_queue_is_refused_and_nothing_shows_before_it_is_durable() {
         assert_eq!(refused, 4);
         assert_eq!(scene.published().unwrap(), before);
         assert!(!updates.has_changed().unwrap());
-        assert_eq!(scene.history(Seq(1), Seq(9), 9).await.unwrap(), vec![]);
+        assert_eq!(
+            scene.history(Seq(1), Seq(9), None, 9).await.unwrap(),
+            vec![]
+        );
         let ahead = scene.at(Seq(1)).await;
         assert!(
             matches!(ahead, Err(ServiceError::SeqNotReached { .. })),
@@ -752,7 +764,7 @@ async fn replay_shows_its_progress_and_holds_up_nobody_else() {
         matches!(refused, Err(ServiceError::Recovering { percent: 0 })),
         "{refused:?}"
     );
-    let again = service.create(&name("old"), edge(), "{}").await;
+    let again = service.create(&name("old"), edge(), None, "{}").await;
     assert!(
         matches!(again, Err(ServiceError::Recovering { .. })),
         "{again:?}"
@@ -808,11 +820,14 @@ async fn a_damaged_scene_is_refused_and_can_be_dropped_while_others_serve() {
         "{refused:?}"
     );
     assert!(matches!(
-        service.create(&name("bad"), edge(), "{}").await,
+        service.create(&name("bad"), edge(), None, "{}").await,
         Err(ServiceError::Damaged { .. })
     ));
     service.remove(&name("bad")).await.unwrap();
-    let (fresh, new) = service.create(&name("bad"), edge(), "{}").await.unwrap();
+    let (fresh, new) = service
+        .create(&name("bad"), edge(), None, "{}")
+        .await
+        .unwrap();
     assert!(new);
     assert_eq!(fresh.published().unwrap().seq, Seq(0));
 }
@@ -827,7 +842,7 @@ async fn of_those_who_create_or_drop_at_once_exactly_one_wins() {
                 let service = service.clone();
                 let settings = if task % 2 == 0 { "a" } else { "b" };
                 tokio::spawn(async move {
-                    let answer = service.create(&name("s"), edge(), settings).await;
+                    let answer = service.create(&name("s"), edge(), None, settings).await;
                     (settings, answer)
                 })
             })
@@ -889,7 +904,10 @@ async fn a_name_that_comes_and_goes_never_mixes_its_lives() {
                             Err(error) => panic!("{error}"),
                         },
                         1 => {
-                            let (_, new) = service.create(&name("s"), edge(), "{}").await.unwrap();
+                            let (_, new) = service
+                                .create(&name("s"), edge(), None, "{}")
+                                .await
+                                .unwrap();
                             lives.fetch_add(u64::from(new), Ordering::Relaxed);
                         }
                         _ => {
@@ -992,7 +1010,7 @@ async fn a_shutdown_loses_nothing_that_was_acknowledged_and_does_nothing_that_wa
         kept.extend(task.await.unwrap());
     }
     assert!(matches!(scene.published(), Err(ServiceError::ShuttingDown)));
-    let refused = service.create(&name("t"), edge(), "{}").await;
+    let refused = service.create(&name("t"), edge(), None, "{}").await;
     assert!(
         matches!(refused, Err(ServiceError::ShuttingDown)),
         "{refused:?}"

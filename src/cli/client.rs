@@ -1,22 +1,15 @@
 //! A client of the public HTTP API: makes a scene, streams cubes into it, reads what they measure.
 
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use prost::Message;
 use reqwest::{StatusCode, Url, header};
 use serde_json::{Value, json, value::RawValue};
-use tokio::task::JoinSet;
 
 use union3d::geometry::Place;
+use union3d::wire::convert::StockDocument;
 use union3d::wire::proto::Change;
-
-/// Cubes in one change of a stream.
-pub(crate) const BATCH_CUBES: usize = 4_096;
-
-/// Changes sent ahead of their answers, so that those which wait together share one sync of the server's disk.
-const CHANGES_IN_FLIGHT_MAX: usize = 8;
 
 /// How long a server that cannot be reached, or cannot answer yet, is asked again.
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -65,6 +58,23 @@ pub(crate) struct SceneWanted {
     pub(crate) steps_per_unit: u32,
     /// Label of the user unit.
     pub(crate) unit: String,
+    /// The block of material, if any.
+    pub(crate) stock: Option<StockDocument>,
+}
+
+impl SceneWanted {
+    /// The settings to make it with.
+    fn settings(&self) -> Value {
+        let mut settings = json!({
+            "edge": self.edge,
+            "steps_per_unit": self.steps_per_unit,
+            "unit": self.unit,
+        });
+        if let Some(stock) = &self.stock {
+            settings["stock"] = json!(stock);
+        }
+        settings
+    }
 }
 
 /// One scene of one server.
@@ -117,12 +127,7 @@ impl Client {
                 Ok((this, largest))
             }
             Err(Failure::Refused { status, .. }) if status == StatusCode::NOT_FOUND => {
-                let settings = json!({
-                    "edge": wanted.edge,
-                    "steps_per_unit": wanted.steps_per_unit,
-                    "unit": wanted.unit,
-                });
-                let request = this.http.put(this.scene.clone()).json(&settings);
+                let request = this.http.put(this.scene.clone()).json(&wanted.settings());
                 this.ask(request).await?;
                 Ok((this, 0))
             }
@@ -145,40 +150,46 @@ impl Client {
         })
     }
 
-    /// Inserts cubes with the ids from `first_id` on, durably. Sent again it changes nothing, so a lost answer is no harm.
-    pub(crate) async fn insert(&self, first_id: u64, places: &[Place]) -> Result<(), Failure> {
-        let mut url = self.below("changes");
-        url.set_query(Some("return=minimal"));
-        self.change(url, first_id, places).await.map(drop)
-    }
-
-    /// As [`Self::insert`], answering the mass properties after it.
+    /// Inserts cubes with the ids from `first_id` on, durably, and answers the mass properties after it. Sent again it changes
+    /// nothing, so a lost answer is no harm.
     pub(crate) async fn insert_and_measure(
         &self,
         first_id: u64,
         places: &[Place],
     ) -> Result<Value, Failure> {
-        let url = self.below("changes");
-        let text = self.change(url.clone(), first_id, places).await?;
-        Ok(parse(&url, &text)?["mass_properties"].take())
+        self.change(&inserted(first_id, places), None).await
     }
 
-    async fn change(&self, url: Url, first_id: u64, places: &[Place]) -> Result<String, Failure> {
-        let column = |axis: usize| places.iter().map(|place| place.corner()[axis]).collect();
+    /// What a move of a machine does: its cubes with the ids from `first_id` on. `key` makes a second sending harmless even when
+    /// there are none.
+    pub(crate) async fn move_and_measure(
+        &self,
+        first_id: u64,
+        places: &[Place],
+        number: u64,
+        duration: Option<f64>,
+        key: &str,
+    ) -> Result<Value, Failure> {
         let change = Change {
-            delete: vec![],
-            insert_id: (first_id..).take(places.len()).collect(),
-            x: column(0),
-            y: column(1),
-            z: column(2),
-            ..Change::default()
+            r#move: Some(number),
+            duration,
+            ..inserted(first_id, places)
         };
-        let request = self
+        self.change(&change, Some(key)).await
+    }
+
+    async fn change(&self, change: &Change, key: Option<&str>) -> Result<Value, Failure> {
+        let url = self.below("changes");
+        let mut request = self
             .http
-            .post(url)
+            .post(url.clone())
             .header(header::CONTENT_TYPE, "application/x-protobuf")
             .body(Bytes::from(change.encode_to_vec()));
-        self.ask(request).await
+        if let Some(key) = key {
+            request = request.header("Idempotency-Key", key);
+        }
+        let text = self.ask(request).await?;
+        Ok(parse(&url, &text)?["mass_properties"].take())
     }
 
     /// The largest id in the scene, from the listing of all its cubes.
@@ -273,51 +284,15 @@ impl Client {
     }
 }
 
-/// Sends cubes ahead of their answers, numbered in the order they come.
-#[derive(Debug)]
-pub(crate) struct Stream {
-    client: Arc<Client>,
-    next_id: u64,
-    in_flight: JoinSet<Result<(), Failure>>,
-}
-
-impl Stream {
-    /// A stream into the scene whose ids begin after `largest_id`.
-    pub(crate) fn new(client: Client, largest_id: u64) -> Self {
-        Self {
-            client: Arc::new(client),
-            next_id: largest_id + 1,
-            in_flight: JoinSet::new(),
-        }
-    }
-
-    /// Sends one batch; waits only while too many are on their way. The failure may be an earlier batch's.
-    pub(crate) async fn send(&mut self, places: Vec<Place>) -> Result<(), Failure> {
-        while self.in_flight.len() >= CHANGES_IN_FLIGHT_MAX {
-            self.settle_one().await?;
-        }
-        let first_id = self.next_id;
-        self.next_id += places.len() as u64;
-        let client = Arc::clone(&self.client);
-        self.in_flight
-            .spawn(async move { client.insert(first_id, &places).await });
-        Ok(())
-    }
-
-    /// Waits until everything sent is durable, and reads what the scene measures then.
-    pub(crate) async fn finish(mut self) -> Result<Box<RawValue>, Failure> {
-        while !self.in_flight.is_empty() {
-            self.settle_one().await?;
-        }
-        self.client.mass_properties().await
-    }
-
-    async fn settle_one(&mut self) -> Result<(), Failure> {
-        match self.in_flight.join_next().await {
-            None => Ok(()),
-            Some(Ok(outcome)) => outcome,
-            Some(Err(error)) => std::panic::resume_unwind(error.into_panic()),
-        }
+/// A change that inserts cubes with the ids from `first_id` on.
+pub(crate) fn inserted(first_id: u64, places: &[Place]) -> Change {
+    let column = |axis: usize| places.iter().map(|place| place.corner()[axis]).collect();
+    Change {
+        insert_id: (first_id..).take(places.len()).collect(),
+        x: column(0),
+        y: column(1),
+        z: column(2),
+        ..Change::default()
     }
 }
 
@@ -334,6 +309,7 @@ fn compare(wanted: &SceneWanted, there: &Value) -> Result<(), Failure> {
         ("edge", json!(wanted.edge)),
         ("steps_per_unit", json!(wanted.steps_per_unit)),
         ("unit", json!(wanted.unit)),
+        ("stock", json!(wanted.stock)),
     ];
     for (name, value) in settings {
         let found = field(there, name);

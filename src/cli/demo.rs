@@ -166,6 +166,7 @@ async fn show(url: &str) -> Result<(), Box<dyn std::error::Error>> {
         edge: EDGE,
         steps_per_unit: 1000,
         unit: Unit::Mm.label().to_owned(),
+        stock: None,
     };
     // The ids always begin at 1: on a directory with the plate of an earlier demo this changes nothing.
     let (client, _) = Client::open(url, &wanted).await?;

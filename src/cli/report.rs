@@ -99,7 +99,7 @@ pub(crate) fn column(value: &Value) -> String {
 }
 
 /// A decimal number with its thousands apart.
-fn grouped(text: &str) -> String {
+pub(crate) fn grouped(text: &str) -> String {
     let (sign, text) = text
         .strip_prefix('-')
         .map_or(("", text), |rest| ("-", rest));

@@ -286,7 +286,14 @@ impl Bins {
         prefetch(&table.slots, table.home(hash));
     }
 
-    pub(super) fn push(&mut self, key: BinKey, corner: [i32; 3], id: CubeId) -> Change {
+    /// Puts a cube into its bin, as a fresh one or not; says how many fresh ones there are now.
+    pub(super) fn push(
+        &mut self,
+        key: BinKey,
+        corner: [i32; 3],
+        id: CubeId,
+        fresh: usize,
+    ) -> (Change, usize) {
         let hash = key.hash();
         let table = &mut self.tables[table_of(hash)];
         let (slot, change) = match table.find(key, hash) {
@@ -301,7 +308,12 @@ impl Bins {
         let words = bin.words.len();
         bin.push(corner, id);
         self.words += bin.words.len() - words;
-        change
+        if fresh == 0 {
+            return (change, 0);
+        }
+        let fresh = bin.fresh() + fresh;
+        bin.set_fresh(fresh);
+        (change, fresh)
     }
 
     /// Removes the cube at `index` of a bin.

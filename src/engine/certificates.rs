@@ -11,8 +11,7 @@
 //! # Source
 //! The covered cells of UNION3 (W. R. Franklin), kept current.
 
-use std::collections::HashMap;
-use std::hash::{BuildHasherDefault, Hash, Hasher};
+use std::ops::Range;
 
 use crate::geometry::{Edge, Place};
 
@@ -20,12 +19,12 @@ use super::bins::BinKey;
 use super::grid::Grid;
 use super::marginal::Span;
 
-/// Cells along one side of a block; one row of a block is a byte.
+/// Cells along one side of a block.
 const SIDE: i32 = 8;
 
-/// Rows of cells by (z, y), a bit for each x.
-type Block = [u8; 64];
-const _: () = assert!(SIDE.cast_unsigned() == u8::BITS && size_of::<Block>() == 8 * 8);
+/// Layers of cells by z; in each a byte for every y, and in that a bit for every x.
+type Layers = [u64; 8];
+const _: () = assert!(SIDE * SIDE == u64::BITS.cast_signed());
 
 /// The certified cells.
 #[derive(Debug)]
@@ -33,7 +32,7 @@ pub(super) struct Certificates {
     edge: i32,
     cell: i32,
     state: State,
-    blocks: HashMap<BinKey, Block, BuildHasherDefault<BinHasher>>,
+    blocks: Blocks,
 }
 
 /// Whether certificates are kept.
@@ -66,7 +65,7 @@ impl Certificates {
             edge: edge.steps(),
             cell: cell.max(1),
             state,
-            blocks: HashMap::default(),
+            blocks: Blocks::default(),
         }
     }
 
@@ -90,10 +89,15 @@ impl Certificates {
             }
             State::Kept if hidden.len() * 8 < visible.len() || hidden.len() == 0 => {
                 self.state = State::Idle;
-                self.blocks = HashMap::default();
+                self.blocks = Blocks::default();
             }
             State::Never | State::Idle | State::Kept => {}
         }
+    }
+
+    /// Whether certificates are kept at the moment.
+    pub(super) fn are_kept(&self) -> bool {
+        self.state == State::Kept
     }
 
     /// Certifies the cells inside a cube that is visible.
@@ -102,13 +106,13 @@ impl Certificates {
             return;
         }
         let cells = self.inside(&Span::cube(place.corner(), self.edge));
-        for key in cells.blocks() {
-            let block = self.blocks.entry(key).or_insert([0; 64]);
-            cells.rows_in(key, |row, bits| {
-                block[row] |= bits;
-                true
-            });
-        }
+        cells.each_part(|part| {
+            let layers = self.blocks.entry(part.block);
+            for layer in &mut layers[part.z] {
+                *layer |= part.cells;
+            }
+            true
+        });
     }
 
     /// Withdraws the certificates of the cells that meet a box.
@@ -116,18 +120,17 @@ impl Certificates {
         if self.state != State::Kept {
             return;
         }
-        let cells = self.meeting(bare);
-        for key in cells.blocks() {
-            if let Some(block) = self.blocks.get_mut(&key) {
-                cells.rows_in(key, |row, bits| {
-                    block[row] &= !bits;
-                    true
-                });
-                if *block == [0; 64] {
-                    self.blocks.remove(&key);
+        self.meeting(bare).each_part(|part| {
+            if let Some(layers) = self.blocks.get_mut(part.block) {
+                for layer in &mut layers[part.z] {
+                    *layer &= !part.cells;
+                }
+                if *layers == [0; 8] {
+                    self.blocks.remove(part.block);
                 }
             }
-        }
+            true
+        });
     }
 
     /// Whether the union is known to cover the cube at `place`.
@@ -136,15 +139,20 @@ impl Certificates {
             return false;
         }
         let cells = self.meeting(&Span::cube(place.corner(), self.edge));
-        cells.blocks().all(|key| {
-            let block = self.blocks.get(&key);
-            block.is_some_and(|block| cells.rows_in(key, |row, bits| block[row] & bits == bits))
+        cells.each_part(|part| {
+            let layers = self.blocks.get(part.block);
+            layers.is_some_and(|layers| {
+                let all = layers[part.z]
+                    .iter()
+                    .fold(u64::MAX, |all, layer| all & layer);
+                all & part.cells == part.cells
+            })
         })
     }
 
     /// Bytes of the blocks.
     pub(super) fn size(&self) -> usize {
-        self.blocks.capacity() * (size_of::<(BinKey, Block)>() + 1) * 8 / 7
+        self.blocks.size()
     }
 
     fn inside(&self, span: &Span) -> Cells {
@@ -172,58 +180,204 @@ impl Certificates {
     }
 }
 
-impl Cells {
-    /// The blocks that hold them.
-    fn blocks(&self) -> impl Iterator<Item = BinKey> + use<> {
-        let [x, y, z] = [0, 1, 2]
-            .map(|axis| self.first[axis].div_euclid(SIDE)..=(self.end[axis] - 1).div_euclid(SIDE));
-        z.flat_map(move |z| {
-            let x = x.clone();
-            y.clone()
-                .flat_map(move |y| x.clone().map(move |x| BinKey([x, y, z])))
-        })
-    }
+/// Those of some cells that lie in one block.
+struct Part {
+    block: BinKey,
+    /// The same in each layer.
+    cells: u64,
+    z: Range<usize>,
+}
 
-    /// Calls `visit` with each row of a block and the bits of these cells in it, while it answers true; true at the end.
-    fn rows_in(&self, key: BinKey, mut visit: impl FnMut(usize, u8) -> bool) -> bool {
-        let [x, y, z] = [0, 1, 2].map(|axis| {
-            let origin = key.0[axis] * SIDE;
+impl Cells {
+    /// Calls `visit` with the cells by block, while it answers true; true at the end.
+    #[inline]
+    fn each_part(&self, mut visit: impl FnMut(Part) -> bool) -> bool {
+        let blocks =
+            |axis: usize| self.first[axis].div_euclid(SIDE)..=(self.end[axis] - 1).div_euclid(SIDE);
+        let within = |axis: usize, block: i32| {
             let clamp = |cell: i32| {
-                usize::try_from((cell - origin).clamp(0, SIDE)).expect("it is from 0 to 8")
+                let cell = (cell - block * SIDE).clamp(0, SIDE);
+                cell.cast_unsigned()
             };
             clamp(self.first[axis])..clamp(self.end[axis])
-        });
-        let bits = (0xff_u8
-            .checked_shl(u32::try_from(x.start).expect("at most 8"))
-            .unwrap_or(0))
-            & !(0xff_u8
-                .checked_shl(u32::try_from(x.end).expect("at most 8"))
-                .unwrap_or(0));
-        z.into_iter()
-            .all(|z| y.clone().all(|y| visit(z * 8 + y, bits)))
+        };
+        for z in blocks(2) {
+            let layers = within(2, z);
+            for y in blocks(1) {
+                // The lowest bit of each row.
+                let rows = every(8, within(1, y)) & 0x0101_0101_0101_0101;
+                for x in blocks(0) {
+                    let part = Part {
+                        block: BinKey([x, y, z]),
+                        cells: rows * (every(1, within(0, x)) & 0xff),
+                        z: layers.start as usize..layers.end as usize,
+                    };
+                    if !visit(part) {
+                        return false;
+                    }
+                }
+            }
+        }
+        true
     }
 }
 
-impl Hash for BinKey {
-    fn hash<H: Hasher>(&self, hasher: &mut H) {
-        hasher.write_u64(BinKey::hash(*self));
+/// The bits of a range of groups of `width` bits.
+#[inline]
+fn every(width: u32, groups: Range<u32>) -> u64 {
+    let below = |group: u32| !u64::MAX.checked_shl(group * width).unwrap_or(0);
+    below(groups.end) & !below(groups.start)
+}
+
+/// Blocks by where they are: side by side, and a table of where.
+#[derive(Debug, Default)]
+struct Blocks {
+    /// In the order of no one.
+    keys: Vec<BinKey>,
+    layers: Vec<Layers>,
+    /// Open addressing with linear probing: the number of a block plus one, or 0.
+    slots: Box<[u32]>,
+}
+
+impl Blocks {
+    fn get(&self, key: BinKey) -> Option<&Layers> {
+        let (_, block) = self.find(key)?;
+        Some(&self.layers[block])
+    }
+
+    fn get_mut(&mut self, key: BinKey) -> Option<&mut Layers> {
+        let (_, block) = self.find(key)?;
+        Some(&mut self.layers[block])
+    }
+
+    /// The block at a key, an empty one if there was none.
+    fn entry(&mut self, key: BinKey) -> &mut Layers {
+        let block = match self.find(key) {
+            Some((_, block)) => block,
+            None => self.insert(key),
+        };
+        &mut self.layers[block]
+    }
+
+    #[cold]
+    fn insert(&mut self, key: BinKey) -> usize {
+        let block = self.keys.len();
+        if (block + 1) * 4 > self.slots.len() * 3 {
+            self.resize((self.slots.len() * 3 / 2).max(16));
+        }
+        // An eighth more than there is: doubling would cost more bytes than the cubes.
+        if block == self.keys.capacity() {
+            self.keys.reserve_exact(block / 8 + 8);
+            self.layers.reserve_exact(block / 8 + 8);
+        }
+        self.keys.push(key);
+        self.layers.push([0; 8]);
+        let slot = self.vacant(key);
+        self.slots[slot] = number(block);
+        block
+    }
+
+    fn remove(&mut self, key: BinKey) {
+        let (slot, block) = self.find(key).expect("the block was found a moment ago");
+        self.unlink(slot);
+        self.keys.swap_remove(block);
+        self.layers.swap_remove(block);
+        // The last block has moved to where the removed one was.
+        if let Some(moved) = self.keys.get(block) {
+            let last = number(self.keys.len());
+            let mut slot = self.home(*moved);
+            while self.slots[slot] != last {
+                slot = self.after(slot);
+            }
+            self.slots[slot] = number(block);
+        }
+        if self.keys.len() * 2 < self.keys.capacity() {
+            self.keys.shrink_to(self.keys.len() * 5 / 4);
+            self.layers.shrink_to(self.keys.len() * 5 / 4);
+        }
+        if self.keys.len() * 4 < self.slots.len() && self.slots.len() > 16 {
+            self.resize(self.slots.len() / 2);
+        }
+    }
+
+    /// Empties a slot. Entries behind it that would rather be here move up.
+    fn unlink(&mut self, slot: usize) {
+        let count = self.slots.len();
+        let (mut gap, mut next) = (slot, self.after(slot));
+        while let Some(block) = block_of(self.slots[next]) {
+            let home = self.home(self.keys[block]);
+            let from_home = |at: usize| {
+                if at >= home {
+                    at - home
+                } else {
+                    at + count - home
+                }
+            };
+            if from_home(gap) < from_home(next) {
+                self.slots[gap] = self.slots[next];
+                gap = next;
+            }
+            next = self.after(next);
+        }
+        self.slots[gap] = 0;
+    }
+
+    fn resize(&mut self, count: usize) {
+        self.slots = vec![0; count].into_boxed_slice();
+        for block in 0..self.keys.len() {
+            let slot = self.vacant(self.keys[block]);
+            self.slots[slot] = number(block);
+        }
+    }
+
+    /// The slot and the number of the block at a key.
+    #[inline]
+    fn find(&self, key: BinKey) -> Option<(usize, usize)> {
+        let mut slot = self.home(key);
+        while let Some(block) = block_of(*self.slots.get(slot)?) {
+            if self.keys[block] == key {
+                return Some((slot, block));
+            }
+            slot = self.after(slot);
+        }
+        None
+    }
+
+    fn vacant(&self, key: BinKey) -> usize {
+        let mut slot = self.home(key);
+        while self.slots[slot] != 0 {
+            slot = self.after(slot);
+        }
+        slot
+    }
+
+    #[inline]
+    fn home(&self, key: BinKey) -> usize {
+        let home = (u128::from(key.hash()) * self.slots.len() as u128) >> 64;
+        usize::try_from(home).expect("it is less than the number of slots")
+    }
+
+    #[inline]
+    fn after(&self, slot: usize) -> usize {
+        if slot + 1 == self.slots.len() {
+            0
+        } else {
+            slot + 1
+        }
+    }
+
+    fn size(&self) -> usize {
+        self.keys.capacity() * size_of::<BinKey>()
+            + self.layers.capacity() * size_of::<Layers>()
+            + self.slots.len() * size_of::<u32>()
     }
 }
 
-/// Takes the hash of a bin as it is.
-#[derive(Default)]
-struct BinHasher(u64);
+/// A block as a slot names it.
+fn number(block: usize) -> u32 {
+    u32::try_from(block + 1).expect("fewer blocks than cubes are certified")
+}
 
-impl Hasher for BinHasher {
-    fn finish(&self) -> u64 {
-        self.0
-    }
-
-    fn write(&mut self, _: &[u8]) {
-        unreachable!("a bin is hashed by itself");
-    }
-
-    fn write_u64(&mut self, hash: u64) {
-        self.0 = hash;
-    }
+fn block_of(slot: u32) -> Option<usize> {
+    slot.checked_sub(1).map(|block| block as usize)
 }

@@ -13,7 +13,14 @@ use super::bins::{BinKey, Bins, Change};
 #[derive(Debug)]
 pub(super) struct Extents {
     ends: [End; 6],
+    /// Closed box of corners, when all ends are known.
+    known: Option<Box3>,
+    /// Closed box of layers that are in no front.
+    quiet: Box3,
 }
+
+type Box3 = [[i32; 3]; 2];
+const EVERYWHERE: Box3 = [[i32::MIN; 3], [i32::MAX; 3]];
 
 /// One end along one axis. Coordinates and layers are negated at the greater end, so that always the least counts.
 #[derive(Debug)]
@@ -57,12 +64,21 @@ impl Extents {
         };
         Self {
             ends: [0, 1, 2, 3, 4, 5].map(end),
+            known: None,
+            quiet: EVERYWHERE,
         }
     }
 
     /// A cube has come; `alone` when it is the only one.
     #[inline]
     pub(super) fn insert(&mut self, corner: [i32; 3], key: BinKey, change: Change, alone: bool) {
+        let covered = self.known.is_some_and(|known| holds(&known, corner));
+        if !(covered && holds(&self.quiet, key.0)) || alone {
+            self.insert_outermost(corner, key, change, alone);
+        }
+    }
+
+    fn insert_outermost(&mut self, corner: [i32; 3], key: BinKey, change: Change, alone: bool) {
         for end in &mut self.ends {
             let coordinate = end.signed(corner[end.axis]);
             if alone {
@@ -70,46 +86,77 @@ impl Extents {
             } else if let Some(least) = &mut end.least {
                 *least = coordinate.min(*least);
             }
-            if end.front.is_some() {
-                end.insert_near(coordinate, key, change);
-            }
+            end.insert_near(coordinate, key, change);
         }
+        self.review();
     }
 
     /// A cube has gone.
     #[inline]
     pub(super) fn remove(&mut self, corner: [i32; 3], key: BinKey, change: Change) {
+        let inside = self.known.is_some_and(|[least, greatest]| {
+            (0..3).all(|axis| least[axis] < corner[axis] && corner[axis] < greatest[axis])
+        });
+        if !(inside && holds(&self.quiet, key.0)) {
+            self.remove_outermost(corner, key, change);
+        }
+    }
+
+    fn remove_outermost(&mut self, corner: [i32; 3], key: BinKey, change: Change) {
         for end in &mut self.ends {
             let coordinate = end.signed(corner[end.axis]);
             if end.least == Some(coordinate) {
                 end.least = None;
             }
-            if end.front.is_some() {
-                end.remove_near(coordinate, key, change);
-            }
+            end.remove_near(coordinate, key, change);
         }
+        self.review();
     }
 
-    /// The bins have other keys, or there are no cubes.
+    fn review(&mut self) {
+        let end = |number: usize| {
+            let end = &self.ends[number];
+            Some(end.signed(end.least?))
+        };
+        let known = || Some([[end(0)?, end(2)?, end(4)?], [end(1)?, end(3)?, end(5)?]]);
+        self.known = known();
+    }
+
+    /// The bins have other keys now.
     pub(super) fn forget_bins(&mut self) {
+        self.quiet = EVERYWHERE;
         for end in &mut self.ends {
             end.front = None;
         }
     }
 
-    /// Least and greatest coordinate by axis, for bins that are not empty.
-    pub(super) fn ends(&mut self, bins: &Bins) -> [[i32; 2]; 3] {
-        [0, 1, 2].map(|axis| {
-            [0, 1].map(|side| {
-                let end = &mut self.ends[2 * axis + side];
-                let least = match end.least {
-                    Some(least) => least,
-                    None => end.find(bins),
-                };
-                end.signed(least)
-            })
-        })
+    /// Least and greatest coordinates by axis, for bins that are not empty.
+    #[inline]
+    pub(super) fn ends(&mut self, bins: &Bins) -> [[i32; 3]; 2] {
+        match self.known {
+            Some(known) => known,
+            None => self.find(bins),
+        }
     }
+
+    fn find(&mut self, bins: &Bins) -> [[i32; 3]; 2] {
+        for end in &mut self.ends {
+            if end.least.is_none() {
+                end.find(bins);
+            }
+            if let Some(front) = &end.front {
+                // The first layer that is not in the front.
+                let side = usize::from(end.greatest);
+                self.quiet[side][end.axis] = end.signed(front.until.saturating_add(1));
+            }
+        }
+        self.review();
+        self.known.expect("all ends have just been found")
+    }
+}
+
+fn holds(space: &Box3, point: [i32; 3]) -> bool {
+    (0..3).all(|axis| space[0][axis] <= point[axis] && point[axis] <= space[1][axis])
 }
 
 impl End {
@@ -157,8 +204,7 @@ impl End {
     }
 
     /// Finds the least coordinate.
-    #[cold]
-    fn find(&mut self, bins: &Bins) -> i32 {
+    fn find(&mut self, bins: &Bins) {
         let size = (bins.len() / FRONT_SHARE).max(FRONT_MIN);
         let front = self.front.take();
         let usable = front.filter(|front| (1..=front.bins_max).contains(&front.bins.len()));
@@ -167,10 +213,8 @@ impl End {
         if layer != front.layer || front.rim.is_empty() {
             self.look_through(&mut front, layer, bins);
         }
-        let least = *front.rim.keys().next().expect("a layer of bins has cubes");
+        self.least = front.rim.keys().next().copied();
         self.front = Some(front);
-        self.least = Some(least);
-        least
     }
 
     /// The front among all bins: so many of them and the rest of the last one's layer.

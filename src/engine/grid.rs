@@ -4,6 +4,7 @@
 //! edge (where queries reach an edge to both sides) and wider where cubes are sparse; an empty bin does not exist. The
 //! bins decide time and space, never a result.
 
+use std::cmp::Ordering;
 use std::ops::ControlFlow;
 
 use crate::geometry::{Bounds, CubeId, Edge, Place};
@@ -41,7 +42,7 @@ const SHIFT_MAX: u32 = 30;
 const SHIFT_ABOVE_EDGE: u32 = 2;
 
 /// Bins that a query looks for at the same time.
-const BINS_AT_ONCE: usize = 32;
+const BINS_AT_ONCE: usize = 8;
 
 impl Grid {
     /// A grid for queries that reach an edge to both sides. Crowded bins become as narrow as one or two edges: a query
@@ -95,12 +96,10 @@ impl Grid {
     pub(super) fn insert(&mut self, place: Place, id: CubeId) {
         let corner = place.corner();
         let key = self.key(corner);
-        let change = self.bins.push(key, corner, id);
+        let (change, _) = self.bins.push(key, corner, id, 0);
         self.len += 1;
         self.extents.insert(corner, key, change, self.len == 1);
-        if self.len > self.review[1] {
-            self.review_bins();
-        }
+        self.review();
     }
 
     /// Removes a cube; false when it is not here.
@@ -116,9 +115,7 @@ impl Grid {
         let change = self.bins.swap_remove(key, index);
         self.len -= 1;
         self.extents.remove(corner, key, change);
-        if self.len < self.review[0] {
-            self.review_bins();
-        }
+        self.review();
         true
     }
 
@@ -223,15 +220,108 @@ impl Grid {
         }
     }
 
+    /// The same without the cubes that come after the cube at `index` of a bin, nor that cube itself: see `batch`.
+    pub(super) fn gather_before(
+        &self,
+        key: BinKey,
+        index: usize,
+        corner: [i32; 3],
+        neighbours: &mut Neighbours,
+    ) {
+        neighbours.clear();
+        let min = corner.map(|coordinate| coordinate - self.edge);
+        let max = corner.map(|coordinate| coordinate + self.edge);
+        self.visit_bins(min, max, |bin| {
+            let count = match bin.key().cmp(&key) {
+                Ordering::Less => bin.len(),
+                Ordering::Equal => index,
+                Ordering::Greater => bin.len() - bin.fresh(),
+            };
+            collect(
+                self.avx2,
+                bin.corners(),
+                count,
+                corner,
+                self.edge,
+                neighbours,
+            );
+            false
+        });
+    }
+
+    /// A bin that there may be.
+    pub(super) fn bin(&self, key: BinKey) -> Option<&Bin> {
+        self.bins.get(key)
+    }
+
+    /// Inserts a cube of a batch; the bin when it is the first one there. The bins are not reviewed meanwhile.
+    pub(super) fn insert_fresh(&mut self, place: Place, id: CubeId) -> Option<BinKey> {
+        let corner = place.corner();
+        let key = self.key(corner);
+        let (change, fresh) = self.bins.push(key, corner, id, 1);
+        self.len += 1;
+        self.extents.insert(corner, key, change, self.len == 1);
+        (fresh == 1).then_some(key)
+    }
+
+    /// Moves a cube behind those of its bin that stay; the bin when it is the first one there.
+    pub(super) fn make_fresh(&mut self, place: Place, id: CubeId) -> Option<BinKey> {
+        let key = self.key(place.corner());
+        let avx2 = self.avx2;
+        let bin = self.bins.get_mut(key);
+        let bin = bin.expect("a cube that is not hidden is visible");
+        let index = bin.position(avx2, place.corner(), Some(id));
+        let fresh = bin.fresh() + 1;
+        bin.swap(
+            index.expect("a cube that is not hidden is visible"),
+            bin.len() - fresh,
+        );
+        bin.set_fresh(fresh);
+        (fresh == 1).then_some(key)
+    }
+
+    /// Removes one of the fresh cubes of a bin.
+    pub(super) fn remove_fresh(&mut self, key: BinKey, index: usize) -> (Place, CubeId) {
+        let bin = self.bins.get_mut(key).expect("it has fresh cubes");
+        let (corner, id) = (bin.corner(index), bin.id(index));
+        bin.set_fresh(bin.fresh() - 1);
+        let change = self.bins.swap_remove(key, index);
+        self.len -= 1;
+        self.extents.remove(corner, key, change);
+        (Place::from_checked(corner), id)
+    }
+
+    pub(super) fn remove_all_fresh(&mut self, key: BinKey) {
+        while let Some(bin) = self.bins.get(key).filter(|bin| bin.fresh() > 0) {
+            self.remove_fresh(key, bin.len() - 1);
+        }
+    }
+
+    /// Makes the fresh cubes of a bin ordinary ones.
+    pub(super) fn settle(&mut self, key: BinKey) {
+        if let Some(bin) = self.bins.get_mut(key) {
+            bin.set_fresh(0);
+        }
+    }
+
+    /// Asks for the memory in which the bin of a cube is looked for.
+    pub(super) fn prefetch(&self, place: Place) {
+        self.bins.prefetch(self.key(place.corner()).hash());
+    }
+
+    pub(super) fn shift(&self) -> u32 {
+        self.shift
+    }
+
     /// The box around all cubes.
     pub(super) fn bounds(&mut self) -> Option<Bounds> {
         if self.len == 0 {
             return None;
         }
-        let ends = self.extents.ends(&self.bins);
+        let [min, max] = self.extents.ends(&self.bins);
         Some(Bounds {
-            min: ends.map(|[least, _]| least),
-            max: ends.map(|[_, greatest]| greatest + self.edge),
+            min,
+            max: max.map(|greatest| greatest + self.edge),
         })
     }
 
@@ -248,6 +338,14 @@ impl Grid {
 
     fn key(&self, corner: [i32; 3]) -> BinKey {
         BinKey(corner.map(|coordinate| coordinate >> self.shift))
+    }
+
+    /// Looks after the bins when the number of cubes has changed much.
+    #[inline]
+    pub(super) fn review(&mut self) {
+        if !(self.review[0]..=self.review[1]).contains(&self.len) {
+            self.review_bins();
+        }
     }
 
     /// Looks whether the bins still suit the cubes, and builds the index anew when they do not: O(cubes), and only when
@@ -275,7 +373,7 @@ impl Grid {
         for bin in std::mem::replace(&mut self.bins, Bins::new()).into_bins() {
             for index in 0..bin.len() {
                 let corner = bin.corner(index);
-                self.bins.push(self.key(corner), corner, bin.id(index));
+                self.bins.push(self.key(corner), corner, bin.id(index), 0);
             }
         }
     }

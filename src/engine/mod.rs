@@ -15,21 +15,27 @@
 //! are those of [`recount`].
 
 mod audit;
+mod bare;
+mod batch;
 mod bins;
 mod certificates;
 mod extents;
 mod grid;
 mod ids;
+mod judge;
 mod marginal;
 mod neighbours;
 mod scan;
 
-use std::collections::HashMap;
+use std::num::NonZero;
 use std::ops::ControlFlow;
+use std::thread::available_parallelism;
 
 use crate::geometry::{CUBES_MAX, CubeId, Edge, Effect, Place, Stock, Totals};
 
 pub use audit::recount;
+pub use bare::Bare;
+use batch::{AHEAD, BATCH_MIN, Helper};
 use certificates::Certificates;
 use grid::Grid;
 use ids::IdTable;
@@ -129,6 +135,8 @@ pub struct Engine {
     certificates: Certificates,
     totals: Totals,
     work: Work,
+    threads: usize,
+    helpers: Vec<Helper>,
 }
 
 /// Memory that one operation after the other uses.
@@ -194,7 +202,16 @@ impl Engine {
                 neighbours: Neighbours::new(),
                 uncovered: Vec::new(),
             },
+            threads: available_parallelism().map_or(1, NonZero::get),
+            helpers: Vec::new(),
         }
+    }
+
+    /// The same with so many threads for a large batch, instead of as many as there are processors: the same totals.
+    #[must_use]
+    pub fn with_threads(mut self, threads: NonZero<usize>) -> Self {
+        self.threads = threads.get();
+        self
     }
 
     /// The same, cut from a stock: for an engine that has no cubes yet.
@@ -245,88 +262,25 @@ impl Engine {
         self.ids.get(id)
     }
 
-    /// Judges operations in their order against the set, changing nothing. O(operations).
-    /// # Errors
-    /// [`Rejected`] names the first operation at fault.
-    pub fn judge(&self, ops: &[Op]) -> Result<Judged, Rejected> {
-        /// An id that some operation names.
-        struct Touched {
-            id: CubeId,
-            before: Option<Place>,
-            now: Option<Place>,
-        }
-        let mut touched: Vec<Touched> = Vec::with_capacity(ops.len());
-        let mut by_id: HashMap<CubeId, usize> = HashMap::with_capacity(ops.len());
-        let mut in_order = Counts::default();
-        for (index, op) in ops.iter().enumerate() {
-            let (Op::Delete(id) | Op::Insert(id, _)) = *op;
-            let at = *by_id.entry(id).or_insert_with(|| {
-                let there = self.ids.get(id);
-                touched.push(Touched {
-                    id,
-                    before: there,
-                    now: there,
-                });
-                touched.len() - 1
-            });
-            let now = &mut touched[at].now;
-            match (*op, *now) {
-                (Op::Delete(_), None) => in_order.unchanged += 1,
-                (Op::Delete(_), Some(_)) => {
-                    *now = None;
-                    in_order.deleted += 1;
-                }
-                (Op::Insert(_, place), None) => {
-                    *now = Some(place);
-                    in_order.inserted += 1;
-                }
-                (Op::Insert(_, asked), Some(there)) if there == asked => in_order.unchanged += 1,
-                (Op::Insert(_, asked), Some(there)) => {
-                    return Err(Rejected::IdConflict {
-                        index,
-                        id,
-                        there,
-                        asked,
-                    });
-                }
-            }
-        }
-        let mut effect = Effect::default();
-        for Touched { id, before, now } in touched {
-            if before != now {
-                effect.deleted.extend(before.map(|place| (id, place)));
-                effect.inserted.extend(now.map(|place| (id, place)));
-            }
-        }
-        let (inserted, deleted) = (effect.inserted.len() as u64, effect.deleted.len() as u64);
-        let cubes = self.len() - deleted + inserted;
-        if cubes > CUBES_MAX {
-            return Err(Rejected::TooManyCubes { cubes });
-        }
-        let unchanged = ops.len() as u64 - inserted - deleted;
-        let net = Counts {
-            inserted,
-            deleted,
-            unchanged,
-        };
-        Ok(Judged {
-            effect,
-            in_order,
-            net,
-        })
-    }
-
     /// Applies an effect, whole or not at all: deletions first. The only door through which state changes.
     /// O(cubes named), each in its neighbourhood.
     /// # Errors
     /// [`Inconsistent`] when the effect does not fit; then nothing has changed.
     pub fn apply(&mut self, effect: &Effect) -> Result<(), Inconsistent> {
         self.apply_ids(effect)?;
-        for &(id, place) in &effect.deleted {
-            self.delete(id, place);
+        if effect.deleted.len() < BATCH_MIN {
+            for &(id, place) in &effect.deleted {
+                self.delete(id, place);
+            }
+        } else {
+            self.delete_batch(&effect.deleted);
         }
-        for &(id, place) in &effect.inserted {
-            self.insert(id, place);
+        if effect.inserted.len() < BATCH_MIN {
+            for &(id, place) in &effect.inserted {
+                self.insert(id, place);
+            }
+        } else {
+            self.insert_batch(&effect.inserted);
         }
         self.totals.cubes = self.len();
         self.totals.bounds = self.visible.bounds();
@@ -360,6 +314,9 @@ impl Engine {
     /// Removes cubes from the table of ids; the error is how many were removed before one did not fit.
     fn remove_ids(&mut self, cubes: &[(CubeId, Place)]) -> Result<(), usize> {
         for (done, (id, place)) in cubes.iter().enumerate() {
+            if let Some((ahead, _)) = cubes.get(done + AHEAD) {
+                self.ids.prefetch(*ahead);
+            }
             if self.ids.get(*id) != Some(*place) {
                 return Err(done);
             }
@@ -370,7 +327,11 @@ impl Engine {
 
     /// Inserts cubes into the table of ids; the error is how many were inserted before one did not fit.
     fn insert_ids(&mut self, cubes: &[(CubeId, Place)]) -> Result<(), usize> {
+        self.ids.reserve(cubes.len());
         for (done, (id, place)) in cubes.iter().enumerate() {
+            if let Some((ahead, _)) = cubes.get(done + AHEAD) {
+                self.ids.prefetch(*ahead);
+            }
             if self.ids.len() as u64 == CUBES_MAX || !self.ids.insert(*id, *place) {
                 return Err(done);
             }
@@ -386,7 +347,10 @@ impl Engine {
         };
         match difference {
             Some(difference) => self.show(id, place, &difference),
-            None => self.hidden.insert(place, id),
+            None => {
+                self.certificates.certify(place);
+                self.hidden.insert(place, id);
+            }
         }
         self.certificates.review(&self.visible, &self.hidden);
     }
@@ -416,13 +380,7 @@ impl Engine {
         if self.hidden.remove(place, id) {
             return;
         }
-        // Another cube at the very same place takes over: the union stays.
-        if let Some(twin) = self.hidden.at(place) {
-            assert!(self.hidden.remove(place, twin), "a twin was found there");
-            assert!(
-                self.visible.rename(place, id, twin),
-                "a cube is in one of the grids"
-            );
+        if self.hand_over(id, place) {
             return;
         }
         assert!(
@@ -440,71 +398,84 @@ impl Engine {
         self.certificates.review(&self.visible, &self.hidden);
     }
 
+    /// Another cube at the very same place, if there is one, becomes visible instead of a cube that goes: the union stays.
+    fn hand_over(&mut self, id: CubeId, place: Place) -> bool {
+        if self.hidden.len() == 0 {
+            return false;
+        }
+        let Some(twin) = self.hidden.at(place) else {
+            return false;
+        };
+        assert!(self.hidden.remove(place, twin), "a twin was found there");
+        assert!(
+            self.visible.rename(place, id, twin),
+            "a cube is in one of the grids"
+        );
+        true
+    }
+
     /// Makes hidden cubes visible until they cover again what the deleted cube at `place` left bare, as far as they can.
+    /// What is bare lies within the boxes of `work`.
     fn promote(&mut self, place: Place) {
-        let Some(bare) = self
-            .work
-            .uncovered
-            .iter()
-            .copied()
-            .reduce(|one, other| one.joined(&other))
-        else {
+        let boxes = self.work.uncovered.iter().copied();
+        let Some(bare) = boxes.reduce(|one, other| one.joined(&other)) else {
             return;
         };
         if self.hidden.len() == 0 {
             return;
         }
         let edge = self.edge.steps();
-        let reach = bare.min.map(|low| low - edge);
-        // In a crowd one cube often covers all that is bare; the first one found will do.
-        let covering = self.hidden.visit(reach, bare.max, |corner, id| {
-            let covers = Span::cube(corner, edge).contains(&bare);
-            if covers {
-                ControlFlow::Break((id, Place::from_checked(corner)))
-            } else {
-                ControlFlow::Continue(())
-            }
-        });
-        if let ControlFlow::Break((id, hidden)) = covering {
-            return self.promote_one(id, hidden);
-        }
-        // Best overlap first, and what is still bare found anew after each, so that few cubes become visible.
         let mut candidates: Vec<(CubeId, Span)> = Vec::new();
-        let all: ControlFlow<()> = self.hidden.visit(reach, bare.max, |corner, id| {
-            candidates.push((id, Span::cube(corner, edge)));
+        // In a crowd one cube often covers all that is bare; the first one found will do.
+        let reach = bare.min.map(|low| low - edge);
+        let covering = self.hidden.visit(reach, bare.max, |corner, id| {
+            let cube = Span::cube(corner, edge);
+            if cube.contains(&bare) {
+                return ControlFlow::Break((id, Place::from_checked(corner)));
+            }
+            candidates.push((id, cube));
             ControlFlow::Continue(())
         });
-        debug_assert!(all.is_continue(), "candidates are all looked at");
+        if let ControlFlow::Break((id, hidden)) = covering {
+            self.promote_one(id, hidden);
+            return;
+        }
+        // Best overlap first, so that few cubes become visible.
         loop {
-            let overlap = |cube: &Span| {
-                self.work
-                    .uncovered
-                    .iter()
-                    .map(|span| span.overlap(cube))
-                    .max()
-                    .unwrap_or(0)
-            };
-            candidates.retain(|(_, cube)| overlap(cube) > 0);
-            let best = candidates
-                .iter()
-                .enumerate()
-                .max_by_key(|(_, (_, cube))| overlap(cube));
-            let Some((best, _)) = best else { return };
-            let (id, cube) = candidates.swap_remove(best);
-            let visible_before = self.visible.len();
-            self.promote_one(id, Place::from_checked(cube.min));
-            if self.visible.len() > visible_before && self.uncovered(place).is_none() {
+            let boxes = &self.work.uncovered;
+            let mut best = (0, None);
+            candidates.retain(|(id, cube)| {
+                let overlap = boxes.iter().map(|span| span.overlap(cube)).max();
+                let overlap = overlap.unwrap_or(0);
+                if overlap > best.0 {
+                    best = (overlap, Some((*id, *cube)));
+                }
+                overlap > 0
+            });
+            let (_, Some((id, cube))) = best else { return };
+            candidates.retain(|(other, _)| *other != id);
+            if !self.promote_one(id, Place::from_checked(cube.min)) {
+                continue;
+            }
+            let boxes = &mut self.work.uncovered;
+            boxes.retain(|bare| !cube.contains(bare));
+            // The boxes are wide. Only when another cube might be needed is it worth to find out what is still bare.
+            let needed =
+                |(_, other): &(CubeId, Span)| boxes.iter().any(|bare| bare.overlap(other) > 0);
+            if !candidates.iter().any(needed) || self.uncovered(place).is_none() {
                 return;
             }
         }
     }
 
     /// Makes a hidden cube visible, unless the visible cubes cover it.
-    fn promote_one(&mut self, id: CubeId, place: Place) {
-        if let Some(difference) = self.marginal(place) {
-            assert!(self.hidden.remove(place, id), "a candidate is hidden");
-            self.show(id, place, &difference);
-        }
+    fn promote_one(&mut self, id: CubeId, place: Place) -> bool {
+        let Some(difference) = self.marginal(place) else {
+            return false;
+        };
+        assert!(self.hidden.remove(place, id), "a candidate is hidden");
+        self.show(id, place, &difference);
+        true
     }
 
     /// What the cube at `place` adds to the union of the visible cubes; none when they cover it.

@@ -4,14 +4,14 @@
 
 use super::neighbours::{LANES, Neighbours};
 
-/// Proof that the processor has AVX2.
+/// Proof that the processor has AVX2 and counts bits.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Avx2(());
 
 impl Avx2 {
     #[cfg(target_arch = "x86_64")]
     pub(super) fn detect() -> Option<Self> {
-        is_x86_feature_detected!("avx2").then_some(Self(()))
+        (is_x86_feature_detected!("avx2") && is_x86_feature_detected!("popcnt")).then_some(Self(()))
     }
 
     #[cfg(not(target_arch = "x86_64"))]
@@ -36,7 +36,15 @@ impl Corners<'_> {
         [0, 1, 2].map(|axis| self.words[axis * self.capacity + index])
     }
 
-    #[inline(always)]
+    /// The first `count` elements of a column by registers, the last of which may be filled up with others.
+    #[cfg(target_arch = "x86_64")]
+    #[inline]
+    fn registers(&self, axis: usize, count: usize) -> &[[i32; LANES]] {
+        let column = &self.words[axis * self.capacity..];
+        column[..count.next_multiple_of(LANES)].as_chunks().0
+    }
+
+    #[inline]
     fn lanes(&self, axis: usize, first: usize) -> &[i32; LANES] {
         let lanes = self.words[axis * self.capacity + first..].first_chunk();
         lanes.expect("enough elements follow the last one of a column")
@@ -57,7 +65,7 @@ pub(super) fn collect(
     #[cfg(target_arch = "x86_64")]
     if avx2.is_some() {
         #[expect(unsafe_code, reason = "instructions that were detected")]
-        // SAFETY: the proof that the processor has AVX2 is at hand.
+        // SAFETY: the proof that the processor has them is at hand.
         return unsafe { x86::collect(corners, count, corner, edge, neighbours) };
     }
     collect_plain(corners, count, corner, edge, neighbours);
@@ -92,15 +100,13 @@ pub(super) fn within(
     #[cfg(target_arch = "x86_64")]
     if avx2.is_some() {
         #[expect(unsafe_code, reason = "instructions that were detected")]
-        // SAFETY: the proof that the processor has AVX2 is at hand.
+        // SAFETY: the proof that the processor has them is at hand.
         return unsafe { x86::within(corners, first, min, reach) };
     }
-    within_inlined(corners, first, min, reach)
+    within_plain(corners, first, min, reach)
 }
 
-/// Written for the vectoriser.
-#[inline(always)]
-fn within_inlined(corners: Corners, first: usize, min: [i32; 3], reach: [u32; 3]) -> u32 {
+fn within_plain(corners: Corners, first: usize, min: [i32; 3], reach: [u32; 3]) -> u32 {
     let [x, y, z] = [0, 1, 2].map(|axis| corners.lanes(axis, first));
     let mut kept = [0u32; LANES];
     for lane in 0..LANES {
@@ -114,7 +120,7 @@ fn within_inlined(corners: Corners, first: usize, min: [i32; 3], reach: [u32; 3]
 }
 
 /// Asks for the memory of an element that will be needed soon; nothing happens when there is none.
-#[inline(always)]
+#[inline]
 pub(super) fn prefetch<T>(elements: &[T], index: usize) {
     #[cfg(target_arch = "x86_64")]
     if let Some(element) = elements.get(index) {
@@ -131,13 +137,13 @@ pub(super) fn prefetch<T>(elements: &[T], index: usize) {
 #[cfg(target_arch = "x86_64")]
 mod x86 {
     use std::arch::x86_64::{
-        __m256i, _MM_HINT_T0, _mm_loadl_epi64, _mm_prefetch, _mm256_abs_epi32, _mm256_castsi256_ps,
-        _mm256_cmpeq_epi32, _mm256_cvtepu8_epi32, _mm256_loadu_si256, _mm256_max_epu32,
-        _mm256_min_epu32, _mm256_movemask_ps, _mm256_permutevar8x32_epi32, _mm256_set1_epi32,
-        _mm256_storeu_si256, _mm256_sub_epi32,
+        __m256i, _MM_HINT_T0, _mm_loadl_epi64, _mm_prefetch, _mm256_abs_epi32, _mm256_and_si256,
+        _mm256_castsi256_ps, _mm256_cmpeq_epi32, _mm256_cvtepu8_epi32, _mm256_loadu_si256,
+        _mm256_max_epu32, _mm256_min_epu32, _mm256_movemask_ps, _mm256_permutevar8x32_epi32,
+        _mm256_set1_epi32, _mm256_storeu_si256, _mm256_sub_epi32,
     };
 
-    use super::{Corners, LANES, Neighbours, within_inlined};
+    use super::{Corners, LANES, Neighbours};
 
     /// For each set of lanes their numbers, packed to the left.
     static PACKED: [[u8; LANES]; 256] = {
@@ -165,36 +171,51 @@ mod x86 {
         edge: i32,
         neighbours: &mut Neighbours,
     ) {
-        let corner = corner.map(|coordinate| _mm256_set1_epi32(coordinate));
+        let (x0, y0, z0) = (
+            _mm256_set1_epi32(corner[0]),
+            _mm256_set1_epi32(corner[1]),
+            _mm256_set1_epi32(corner[2]),
+        );
         let edge = _mm256_set1_epi32(edge);
         let Neighbours { x, y, z, len } = neighbours;
-        for first in (0..count).step_by(LANES) {
-            let [dx, dy, dz] = [0, 1, 2]
-                .map(|axis| _mm256_sub_epi32(load(corners.lanes(axis, first)), corner[axis]));
+        let xs = corners.registers(0, count);
+        let ys = corners.registers(1, count);
+        let zs = corners.registers(2, count);
+        let mut left = count;
+        for ((xs, ys), zs) in xs.iter().zip(ys).zip(zs) {
+            let dx = _mm256_sub_epi32(load(xs), x0);
+            let dy = _mm256_sub_epi32(load(ys), y0);
+            let dz = _mm256_sub_epi32(load(zs), z0);
             // Unsigned, so that the one difference whose absolute value wraps counts as far.
             let farthest = _mm256_max_epu32(
                 _mm256_max_epu32(_mm256_abs_epi32(dx), _mm256_abs_epi32(dy)),
                 _mm256_abs_epi32(dz),
             );
             let near = _mm256_cmpeq_epi32(_mm256_min_epu32(farthest, edge), farthest);
-            let lanes = _mm256_movemask_ps(_mm256_castsi256_ps(near)).cast_unsigned();
-            let left = u32::try_from((count - first).min(LANES)).expect("at most eight");
-            let lanes = lanes & (0xff >> (8 - left));
-            let packed = packed(lanes as usize);
-            for (column, offsets) in [(&mut *x, dx), (&mut *y, dy), (&mut *z, dz)] {
-                let to = column[*len..].first_chunk_mut();
-                store(
-                    to.expect("there is room for a register behind the last offset"),
-                    _mm256_permutevar8x32_epi32(offsets, packed),
-                );
-            }
+            let lanes = _mm256_movemask_ps(_mm256_castsi256_ps(near)).cast_unsigned() as usize;
+            let lanes = lanes & (0xff >> LANES.saturating_sub(left));
+            left = left.saturating_sub(LANES);
+            let packed = packed(lanes);
+            let to = *len..*len + LANES;
+            store(&mut x[to.clone()], _mm256_permutevar8x32_epi32(dx, packed));
+            store(&mut y[to.clone()], _mm256_permutevar8x32_epi32(dy, packed));
+            store(&mut z[to], _mm256_permutevar8x32_epi32(dz, packed));
             *len += lanes.count_ones() as usize;
         }
     }
 
     #[target_feature(enable = "avx2")]
     pub(super) fn within(corners: Corners, first: usize, min: [i32; 3], reach: [u32; 3]) -> u32 {
-        within_inlined(corners, first, min, reach)
+        let inside = |axis: usize| {
+            let above = _mm256_sub_epi32(
+                load(corners.lanes(axis, first)),
+                _mm256_set1_epi32(min[axis]),
+            );
+            let reach = _mm256_set1_epi32(reach[axis].cast_signed());
+            _mm256_cmpeq_epi32(_mm256_min_epu32(above, reach), above)
+        };
+        let all = _mm256_and_si256(_mm256_and_si256(inside(0), inside(1)), inside(2));
+        _mm256_movemask_ps(_mm256_castsi256_ps(all)).cast_unsigned()
     }
 
     #[inline]
@@ -209,7 +230,8 @@ mod x86 {
 
     #[inline]
     #[target_feature(enable = "avx2")]
-    fn store(to: &mut [i32; LANES], lanes: __m256i) {
+    fn store(to: &mut [i32], lanes: __m256i) {
+        let to: &mut [i32; LANES] = to.try_into().expect("it is as long as a register");
         #[expect(unsafe_code, reason = "a whole register is written")]
         // SAFETY: the array is as long as the register, and no alignment is asked for.
         unsafe {

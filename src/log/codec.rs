@@ -16,7 +16,7 @@ use std::io::Read;
 
 use ethnum::I256;
 
-use crate::geometry::{Bounds, CubeId, Edge, Measures, Place, Totals};
+use crate::geometry::{Bounds, CubeId, Edge, Measures, Place, Stock, StockMeasures, Totals};
 
 /// Cube and id, as engine and service hand them over.
 pub(super) type Cube = (CubeId, Place);
@@ -253,9 +253,25 @@ fn unfold(folded: u64) -> i64 {
 /// Appends totals. Layout: version, then every number as its length and that many little-endian bytes.
 /// A number takes as many bytes as it needs: of 31 numbers up to 256 bits wide, most are short.
 pub(super) fn put_totals(to: &mut Vec<u8>, totals: &Totals) {
-    let measures = &totals.measures;
     to.push(TOTALS_VERSION);
     put_i128(to, i128::from(totals.cubes));
+    put_measures(to, &totals.measures);
+    if let Some(bounds) = &totals.bounds {
+        to.push(1);
+        put_bounds(to, bounds);
+    } else {
+        to.push(0);
+    }
+    if let Some(stock) = &totals.stock {
+        to.push(1);
+        put_measures(to, &stock.removed);
+        put_measures(to, &stock.remaining);
+    } else {
+        to.push(0);
+    }
+}
+
+fn put_measures(to: &mut Vec<u8>, measures: &Measures) {
     put_i128(to, measures.volume);
     for &moment in &measures.first_moments2 {
         put_i128(to, moment);
@@ -277,14 +293,61 @@ pub(super) fn put_totals(to: &mut Vec<u8>, totals: &Totals) {
     for &count in &measures.vertices {
         put_i128(to, i128::from(count));
     }
-    if let Some(bounds) = &totals.bounds {
-        to.push(1);
-        for coordinate in bounds.min.iter().chain(&bounds.max) {
-            to.extend(coordinate.to_le_bytes());
-        }
-    } else {
-        to.push(0);
+}
+
+fn put_bounds(to: &mut Vec<u8>, bounds: &Bounds) {
+    for coordinate in bounds.min.iter().chain(&bounds.max) {
+        to.extend(coordinate.to_le_bytes());
     }
+}
+
+fn take_bounds(reader: &mut Reader<'_>) -> Result<Bounds, Malformed> {
+    let mut corners = [[0; 3]; 2];
+    for coordinate in corners.as_flattened_mut() {
+        *coordinate = i32::from_le_bytes(reader.array()?);
+    }
+    let [min, max] = corners;
+    Ok(Bounds { min, max })
+}
+
+/// The bytes of a stock: none when there is none.
+pub(super) fn stock_bytes(stock: Option<Stock>) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    if let Some(stock) = stock {
+        put_bounds(&mut bytes, &stock.bounds());
+    }
+    bytes
+}
+
+/// The stock that [`stock_bytes`] wrote.
+/// # Errors
+/// Whatever is not that.
+pub(super) fn stock(bytes: &[u8]) -> Result<Option<Stock>, Malformed> {
+    if bytes.is_empty() {
+        return Ok(None);
+    }
+    let mut reader = Reader(bytes);
+    let Bounds { min, max } = take_bounds(&mut reader)?;
+    reader.finish()?;
+    match Stock::new(min.map(i64::from), max.map(i64::from)) {
+        Ok(stock) => Ok(Some(stock)),
+        Err(_) => Err(Malformed("a stock that is no box")),
+    }
+}
+
+/// Appends a volume.
+pub(super) fn put_volume(to: &mut Vec<u8>, volume: i128) {
+    put_i128(to, volume);
+}
+
+/// The volume that [`put_volume`] wrote, and nothing after it.
+/// # Errors
+/// Whatever is not that.
+pub(super) fn volume(bytes: &[u8]) -> Result<i128, Malformed> {
+    let mut reader = Reader(bytes);
+    let volume = reader.i128()?;
+    reader.finish()?;
+    Ok(volume)
 }
 
 /// The totals that [`put_totals`] wrote, and nothing after them.
@@ -303,6 +366,29 @@ pub(super) fn take_totals(reader: &mut Reader<'_>) -> Result<Totals, Malformed> 
         return Err(Malformed("totals of an unknown version"));
     }
     let cubes = u64::try_from(reader.i128()?).map_err(|_| Malformed("a negative count"))?;
+    let measures = take_measures(reader)?;
+    let bounds = match reader.byte()? {
+        0 => None,
+        1 => Some(take_bounds(reader)?),
+        _ => return Err(Malformed("bounds that are neither there nor not")),
+    };
+    let stock = match reader.byte()? {
+        0 => None,
+        1 => Some(StockMeasures {
+            removed: take_measures(reader)?,
+            remaining: take_measures(reader)?,
+        }),
+        _ => return Err(Malformed("a stock that is neither there nor not")),
+    };
+    Ok(Totals {
+        cubes,
+        measures,
+        bounds,
+        stock,
+    })
+}
+
+fn take_measures(reader: &mut Reader<'_>) -> Result<Measures, Malformed> {
     let mut measures = Measures {
         volume: reader.i128()?,
         ..Measures::default()
@@ -327,24 +413,7 @@ pub(super) fn take_totals(reader: &mut Reader<'_>) -> Result<Totals, Malformed> 
     for count in &mut measures.vertices {
         *count = reader.i64()?;
     }
-    let bounds = match reader.byte()? {
-        0 => None,
-        1 => {
-            let mut corners = [[0; 3]; 2];
-            for coordinate in corners.as_flattened_mut() {
-                *coordinate = i32::from_le_bytes(reader.array()?);
-            }
-            let [min, max] = corners;
-            Some(Bounds { min, max })
-        }
-        _ => return Err(Malformed("bounds that are neither there nor not")),
-    };
-    Ok(Totals {
-        cubes,
-        measures,
-        bounds,
-        stock: None,
-    })
+    Ok(measures)
 }
 
 fn put_i128(to: &mut Vec<u8>, number: i128) {

@@ -8,15 +8,16 @@ use rusqlite::{Connection, Transaction};
 
 use super::database::read_head;
 use super::files::Site;
-use super::tables::{Changes, Head, Seal};
-use super::{HistoryRow, LogError, Seq};
-use crate::geometry::Totals;
+use super::tables::{Changes, Head, Seal, ordered};
+use super::{HistoryRow, LogError, Motion, Seq};
+use crate::geometry::{Stock, Totals};
 
 /// A scene's history, on a connection of its own: reading never waits for the writer.
 pub struct HistoryReader {
     site: Site,
     connection: Connection,
     seal: Seal,
+    stock: Option<Stock>,
     created_ms: u64,
 }
 
@@ -30,11 +31,18 @@ impl fmt::Debug for HistoryReader {
 }
 
 impl HistoryReader {
-    pub(super) fn new(site: Site, connection: Connection, seal: Seal, created_ms: u64) -> Self {
+    pub(super) fn new(
+        site: Site,
+        connection: Connection,
+        seal: Seal,
+        stock: Option<Stock>,
+        created_ms: u64,
+    ) -> Self {
         Self {
             site,
             connection,
             seal,
+            stock,
             created_ms,
         }
     }
@@ -72,6 +80,54 @@ impl HistoryReader {
         let end = last.0.saturating_add(1).min(first.0.saturating_add(limit));
         self.read(first.0.max(1), end, &mut rows)?;
         Ok(rows)
+    }
+
+    /// The rows from `from` to `to` whose move's number is one of `moves` (both included), oldest first, at most `limit`.
+    /// # Errors
+    /// [`LogError::Damaged`] when a row is not what was written.
+    pub fn rows_of_moves(
+        &self,
+        from: Seq,
+        to: Seq,
+        moves: [u64; 2],
+        limit: usize,
+    ) -> Result<Vec<HistoryRow>, LogError> {
+        /// Of so many rows the order by seq is quickly made from the index by move; of more, the table is read in its order.
+        const INDEXED_ROWS_MAX: i64 = 65_536;
+        let (_transaction, head) = self.moment()?;
+        let sqlite = self.site.sqlite(from);
+        let [first, last] = moves.map(ordered);
+        let found: i64 = self
+            .connection
+            .prepare_cached(
+                "SELECT count(*) FROM (SELECT 1 FROM changes INDEXED BY changes_by_move \
+                 WHERE move BETWEEN ?1 AND ?2 LIMIT ?3)",
+            )
+            .and_then(|mut count| {
+                count.query_row([first, last, INDEXED_ROWS_MAX + 1], |row| row.get(0))
+            })
+            .map_err(&sqlite)?;
+        let index = if found > INDEXED_ROWS_MAX {
+            "NOT INDEXED"
+        } else {
+            "INDEXED BY changes_by_move"
+        };
+        let sql = format!(
+            "SELECT * FROM changes {index} WHERE move BETWEEN ?1 AND ?2 AND seq BETWEEN ?3 AND ?4 ORDER BY seq LIMIT ?5"
+        );
+        let mut statement = self.connection.prepare_cached(&sql).map_err(&sqlite)?;
+        let limit = i64::try_from(limit).unwrap_or(i64::MAX);
+        let ends = [from.max(oldest(&head)), to.min(head.seq)].map(|seq| seq.0.cast_signed());
+        let mut rows = statement
+            .query([first, last, ends[0], ends[1], limit])
+            .map_err(&sqlite)?;
+        let mut found = Vec::new();
+        while let Some(row) = rows.next().map_err(&sqlite)? {
+            let row = Changes::parse(row, self.seal)
+                .map_err(|error| self.site.damaged(from, format_args!("the totals: {error}")))?;
+            found.push(row);
+        }
+        Ok(found)
     }
 
     /// Appends every change from `first` to before `end`, all of which are kept.
@@ -120,7 +176,9 @@ impl HistoryReader {
             at_ms: self.created_ms,
             inserted: 0,
             deleted: 0,
-            totals: Totals::default(),
+            motion: Motion::default(),
+            volume_removed: 0,
+            totals: Totals::of_nothing(self.stock),
         }
     }
 }

@@ -29,7 +29,7 @@ mod wal;
 
 use std::path::PathBuf;
 
-use crate::geometry::{CubeId, Effect, Place, Totals};
+use crate::geometry::{CubeId, Effect, Place, Stock, Totals};
 
 pub use codec::RECORD_CUBES_MAX;
 pub use files::{TEMPORARY_PREFIX, remove_leftovers, remove_scene};
@@ -40,6 +40,22 @@ pub use scene::SceneLog;
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Default)]
 pub struct Seq(pub u64);
 
+/// Which movement of a machine a change belongs to, as far as its sender says.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+pub struct Motion {
+    /// The sender's own number of the move or program line.
+    pub number: Option<u64>,
+    /// Machine time it took, in nanoseconds.
+    pub duration_ns: Option<u64>,
+}
+
+impl Motion {
+    /// Whether anything is said.
+    pub fn is_said(&self) -> bool {
+        self.number.is_some() || self.duration_ns.is_some()
+    }
+}
+
 /// One accepted change.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct Record {
@@ -49,6 +65,10 @@ pub struct Record {
     pub at_ms: u64,
     /// What it did to the set of cubes.
     pub effect: Effect,
+    /// What it belongs to.
+    pub motion: Motion,
+    /// Volume it removed from the stock, or added to the union where there is no stock. Units: steps cubed.
+    pub volume_removed: i128,
     /// The totals after it.
     pub totals: Totals,
 }
@@ -90,6 +110,8 @@ pub struct Header {
     pub incarnation: u64,
     /// Edge in steps.
     pub edge_steps: u32,
+    /// The material that is cut, if any.
+    pub stock: Option<Stock>,
     /// The settings as the wire wrote them; opaque here.
     pub settings: String,
 }
@@ -188,6 +210,10 @@ pub struct HistoryRow {
     pub inserted: u64,
     /// Cubes it deleted.
     pub deleted: u64,
+    /// What it belongs to.
+    pub motion: Motion,
+    /// Volume it removed from the stock, or added to the union where there is no stock. Units: steps cubed.
+    pub volume_removed: i128,
     /// Totals after it.
     pub totals: Totals,
 }

@@ -229,6 +229,8 @@ impl SceneLog {
                 seq,
                 at_ms: change.at_ms,
                 effect,
+                motion: change.motion,
+                volume_removed: change.volume_removed,
                 totals: change.totals,
             };
             if visit(Replayed::Change(&record)) {

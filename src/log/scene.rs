@@ -178,6 +178,7 @@ impl SceneLog {
             self.database.site.clone(),
             self.database.reader()?,
             self.database.seal,
+            self.meta.header.stock,
             self.meta.created_ms,
         ))
     }
@@ -312,6 +313,8 @@ impl Log for SceneLog {
                     at_ms: record.at_ms,
                     inserted: count(inserted.len()),
                     deleted: count(deleted.len()),
+                    motion: record.motion,
+                    volume_removed: record.volume_removed,
                     totals: record.totals,
                 };
                 bytes.clear();
@@ -387,6 +390,7 @@ fn notices(
 mod tests {
     use super::*;
     use crate::geometry::{CubeId, Place, Totals};
+    use crate::log::Motion;
 
     const KEEP: Keep = Keep {
         history_changes_max: 10,
@@ -401,6 +405,8 @@ mod tests {
         Record {
             seq: Seq(seq),
             at_ms: 0,
+            motion: Motion::default(),
+            volume_removed: 0,
             effect: Effect {
                 deleted: vec![],
                 // Ids without a pattern, so that they take room.
@@ -420,6 +426,7 @@ mod tests {
         let header = Header {
             incarnation: 1,
             edge_steps: 1,
+            stock: None,
             settings: String::new(),
         };
         let mut log = SceneLog::create(&path, &header, KEEP).unwrap();

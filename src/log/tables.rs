@@ -18,12 +18,12 @@ use rusqlite::types::ValueRef;
 use rusqlite::{Connection, Row, params, params_from_iter};
 
 use super::codec::{self, Malformed, Reader};
-use super::{Answer, Header, HistoryRow, KeyRecord, Seq};
+use super::{Answer, Header, HistoryRow, KeyRecord, Motion, Seq};
 use crate::geometry::{CubeId, Totals};
 
-/// Every table, as the schema has it word for word. The head is first and its one page low, so that a checkpoint, which writes pages
+/// Every table and index, as the schema has it word for word. The head is first and its one page low, so that a checkpoint, which writes pages
 /// in their order, moves it before any row.
-pub(super) const TABLES: [(&str, &str); 7] = [
+pub(super) const TABLES: [(&str, &str); 8] = [
     (
         "head",
         "CREATE TABLE head(one INTEGER PRIMARY KEY, generation INTEGER NOT NULL, seq INTEGER NOT NULL, \
@@ -34,12 +34,16 @@ pub(super) const TABLES: [(&str, &str); 7] = [
     (
         "meta",
         "CREATE TABLE meta(one INTEGER PRIMARY KEY, incarnation INTEGER NOT NULL, edge_steps INTEGER NOT NULL, \
-         settings TEXT NOT NULL, created_ms INTEGER NOT NULL, crc INTEGER NOT NULL) STRICT",
+         stock BLOB NOT NULL, settings TEXT NOT NULL, created_ms INTEGER NOT NULL, crc INTEGER NOT NULL) STRICT",
     ),
     (
         "changes",
         "CREATE TABLE changes(seq INTEGER PRIMARY KEY, at_ms INTEGER NOT NULL, inserted INTEGER NOT NULL, \
-         deleted INTEGER NOT NULL, totals BLOB NOT NULL, crc INTEGER NOT NULL) STRICT",
+         deleted INTEGER NOT NULL, move INTEGER, duration_ns INTEGER, removed BLOB NOT NULL, totals BLOB NOT NULL, crc INTEGER NOT NULL) STRICT",
+    ),
+    (
+        "changes_by_move",
+        "CREATE INDEX changes_by_move ON changes(move) WHERE move IS NOT NULL",
     ),
     (
         "operations",
@@ -119,6 +123,15 @@ impl<'a> Columns<'a> {
     fn number(&self, index: usize) -> Result<u64, Malformed> {
         match self.value(index)? {
             ValueRef::Integer(number) => Ok(number.cast_unsigned()),
+            _ => Err(Malformed("a column is not a number")),
+        }
+    }
+
+    /// What [`ordered`] wrote, or none.
+    fn ordered(&self, index: usize) -> Result<Option<u64>, Malformed> {
+        match self.value(index)? {
+            ValueRef::Null => Ok(None),
+            ValueRef::Integer(number) => Ok(Some(number.cast_unsigned() ^ 1 << 63)),
             _ => Err(Malformed("a column is not a number")),
         }
     }
@@ -263,6 +276,7 @@ impl Meta {
     fn crc(&self) -> Crc {
         let mut crc = self.seal().row("meta");
         crc.number(u64::from(self.header.edge_steps))
+            .bytes(&codec::stock_bytes(self.header.stock))
             .bytes(self.header.settings.as_bytes())
             .number(self.created_ms);
         crc
@@ -270,10 +284,11 @@ impl Meta {
 
     pub(super) fn insert(&self, connection: &Connection) -> rusqlite::Result<()> {
         connection.execute(
-            "INSERT INTO meta VALUES(1, ?, ?, ?, ?, ?)",
+            "INSERT INTO meta VALUES(1, ?, ?, ?, ?, ?, ?)",
             params![
                 self.header.incarnation.cast_signed(),
                 self.header.edge_steps,
+                codec::stock_bytes(self.header.stock),
                 self.header.settings,
                 self.created_ms.cast_signed(),
                 self.crc().finish()
@@ -295,11 +310,12 @@ impl Meta {
                 incarnation: columns.number(1)?,
                 edge_steps: u32::try_from(columns.number(2)?)
                     .map_err(|_| Malformed("its edge is out of range"))?,
-                settings: columns.text(3)?.to_owned(),
+                stock: codec::stock(columns.blob(3)?)?,
+                settings: columns.text(4)?.to_owned(),
             },
-            created_ms: columns.number(4)?,
+            created_ms: columns.number(5)?,
         };
-        meta.crc().check(columns.number(5)?)?;
+        meta.crc().check(columns.number(6)?)?;
         Ok(meta)
     }
 }
@@ -307,18 +323,28 @@ impl Meta {
 /// Rows of `changes` are [`HistoryRow`]s.
 pub(super) struct Changes;
 
+/// Moves and durations are unsigned; their order is that of SQLite's signed integers when the highest bit is turned.
+pub(super) fn ordered(number: u64) -> i64 {
+    (number ^ 1 << 63).cast_signed()
+}
+
 impl Changes {
     /// Columns that [`Self::parse`] reads first in a row.
-    pub(super) const COLUMNS: &str = "changes.seq, changes.at_ms, changes.inserted, changes.deleted, changes.totals, changes.crc";
-    pub(super) const COLUMN_COUNT: usize = 6;
+    pub(super) const COLUMNS: &str = "changes.seq, changes.at_ms, changes.inserted, changes.deleted, changes.move, \
+         changes.duration_ns, changes.removed, changes.totals, changes.crc";
+    pub(super) const COLUMN_COUNT: usize = 9;
 
-    fn crc(seal: Seal, [seq, at_ms, inserted, deleted]: [u64; 4], totals: &[u8]) -> Crc {
+    fn crc(seal: Seal, row: &HistoryRow, removed: &[u8], totals: &[u8]) -> Crc {
         let mut crc = seal.row("changes");
-        crc.number(seq)
-            .number(at_ms)
-            .number(inserted)
-            .number(deleted)
-            .bytes(totals);
+        crc.number(row.seq.0)
+            .number(row.at_ms)
+            .number(row.inserted)
+            .number(row.deleted);
+        for said in [row.motion.number, row.motion.duration_ns] {
+            crc.number(u64::from(said.is_some()))
+                .number(said.unwrap_or(0));
+        }
+        crc.bytes(removed).bytes(totals);
         crc
     }
 
@@ -328,32 +354,40 @@ impl Changes {
         row: &HistoryRow,
         totals: &[u8],
     ) -> rusqlite::Result<()> {
-        let numbers = [row.seq.0, row.at_ms, row.inserted, row.deleted];
-        let crc = Self::crc(seal, numbers, totals).finish();
-        let [seq, at_ms, inserted, deleted] = numbers.map(u64::cast_signed);
+        let mut removed = Vec::new();
+        codec::put_volume(&mut removed, row.volume_removed);
+        let crc = Self::crc(seal, row, &removed, totals).finish();
+        let [seq, at_ms, inserted, deleted] =
+            [row.seq.0, row.at_ms, row.inserted, row.deleted].map(u64::cast_signed);
+        let [number, duration] =
+            [row.motion.number, row.motion.duration_ns].map(|said| said.map(ordered));
         connection
-            .prepare_cached("INSERT INTO changes VALUES(?, ?, ?, ?, ?, ?)")?
-            .execute(params![seq, at_ms, inserted, deleted, totals, crc])?;
+            .prepare_cached("INSERT INTO changes VALUES(?, ?, ?, ?, ?, ?, ?, ?, ?)")?
+            .execute(params![
+                seq, at_ms, inserted, deleted, number, duration, removed, totals, crc
+            ])?;
         Ok(())
     }
 
     pub(super) fn parse(row: &Row<'_>, seal: Seal) -> Result<HistoryRow, Malformed> {
         let columns = Columns(row);
-        let [seq, at_ms, inserted, deleted] = [
-            columns.number(0)?,
-            columns.number(1)?,
-            columns.number(2)?,
-            columns.number(3)?,
-        ];
-        let totals = columns.blob(4)?;
-        Self::crc(seal, [seq, at_ms, inserted, deleted], totals).check(columns.number(5)?)?;
-        Ok(HistoryRow {
-            seq: Seq(seq),
-            at_ms,
-            inserted,
-            deleted,
-            totals: codec::totals(totals)?,
-        })
+        let (removed, totals) = (columns.blob(6)?, columns.blob(7)?);
+        let mut row = HistoryRow {
+            seq: Seq(columns.number(0)?),
+            at_ms: columns.number(1)?,
+            inserted: columns.number(2)?,
+            deleted: columns.number(3)?,
+            motion: Motion {
+                number: columns.ordered(4)?,
+                duration_ns: columns.ordered(5)?,
+            },
+            volume_removed: 0,
+            totals: Totals::default(),
+        };
+        Self::crc(seal, &row, removed, totals).check(columns.number(8)?)?;
+        row.volume_removed = codec::volume(removed)?;
+        row.totals = codec::totals(totals)?;
+        Ok(row)
     }
 }
 

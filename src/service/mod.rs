@@ -27,7 +27,7 @@ use std::time::Duration;
 use crate::engine::{Counts, Op, Rejected};
 use crate::geometry::{CubeId, Place, Totals};
 use crate::log::LogError;
-pub use crate::log::{HistoryRow, Seq};
+pub use crate::log::{HistoryRow, Motion, Seq};
 pub use meters::describe_metrics;
 pub use offline::{Offline, OfflineAudit};
 pub use registry::Service;
@@ -104,6 +104,9 @@ pub struct Submission {
     pub operations: Operations,
     /// How to count it.
     pub counting: Counting,
+    /// Which movement of a machine it belongs to. A change for which something is said here takes a seq even when it changes no
+    /// cube: time has passed, and nothing was cut.
+    pub motion: Motion,
     /// Idempotency key and SHA-256 of the body.
     pub key: Option<(Box<str>, [u8; 32])>,
 }

@@ -160,7 +160,7 @@ pub(super) fn rebuild(
         detail: invalid.to_string(),
     })?;
     let mut rebuilt = Rebuilt {
-        engine: Engine::new(edge),
+        engine: Engine::new(edge).with_stock(log.header().stock),
         seq: Seq(0),
         at_ms: 0,
         next_id: 1,

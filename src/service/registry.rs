@@ -20,7 +20,7 @@ use super::recover::{Gate, Halt, keep, revive};
 use super::scene::{Scene, Setup, blocking};
 use super::writer::{self, Live};
 use super::{FaultHook, Readiness, SceneName, SceneState, ServiceConfig, ServiceError, StartError};
-use crate::geometry::Edge;
+use crate::geometry::{Edge, Stock};
 use crate::log::{Header, SceneLog, remove_leftovers, remove_scene};
 
 /// Scenes that are replayed at the same time.
@@ -173,10 +173,11 @@ impl Service {
         &self,
         name: &SceneName,
         edge: Edge,
+        stock: Option<Stock>,
         settings: &str,
     ) -> Result<(Arc<Scene>, bool), ServiceError> {
         let (registry, name, settings) = (self.0.clone(), name.clone(), settings.to_owned());
-        blocking(move || registry.create(&name, edge, &settings)).await?
+        blocking(move || registry.create(&name, edge, stock, &settings)).await?
     }
 
     /// Drops a scene with its data.
@@ -226,6 +227,7 @@ impl Registry {
         self: &Arc<Self>,
         name: &SceneName,
         edge: Edge,
+        stock: Option<Stock>,
         settings: &str,
     ) -> Result<(Arc<Scene>, bool), ServiceError> {
         let _open = self.stay_open()?;
@@ -234,7 +236,8 @@ impl Registry {
             if !scene.has_header() {
                 return Err(scene.refusal());
             }
-            return if scene.edge() == edge && scene.settings() == settings {
+            return if scene.edge() == edge && scene.stock() == stock && scene.settings() == settings
+            {
                 Ok((scene, false))
             } else {
                 Err(ServiceError::SceneExists {
@@ -251,6 +254,7 @@ impl Registry {
         let header = Header {
             incarnation: uuid::Uuid::new_v4().as_u64_pair().1,
             edge_steps: edge.steps().cast_unsigned(),
+            stock,
             settings: settings.to_owned(),
         };
         let begun = SceneLog::create(&scene.directory, &header, keep(&scene))

@@ -24,7 +24,7 @@ use super::{
     SceneState, Seq, ServiceConfig, ServiceError, Submission, meters,
 };
 use crate::engine::{Cursor, Side, recount};
-use crate::geometry::{CubeId, Edge, Place};
+use crate::geometry::{CubeId, Edge, Place, Stock};
 use crate::log::{Header, HistoryReader, LogError};
 
 /// What all scenes of a service share.
@@ -105,6 +105,11 @@ impl Scene {
     pub fn edge(&self) -> Edge {
         let steps = self.header.get().map_or(1, |header| header.edge_steps);
         Edge::new(i64::from(steps)).expect("an edge is checked before its header is kept")
+    }
+
+    /// The material that its cubes are cut from, if any. None while its log has not been opened.
+    pub fn stock(&self) -> Option<Stock> {
+        self.header.get().and_then(|header| header.stock)
     }
 
     /// Random name of this life of the scene. 0 while its log has not been opened.
@@ -244,11 +249,13 @@ impl Scene {
         .await?
     }
 
-    /// Rows of the history from `from` to `to`, at most `limit`, oldest first. Rows no longer kept are left out.
+    /// Rows of the history from `from` to `to`, at most `limit`, oldest first; with `moves` only those whose move's number is from
+    /// the first to the second. Rows no longer kept are left out.
     pub async fn history(
         &self,
         from: Seq,
         to: Seq,
+        moves: Option<[u64; 2]>,
         limit: usize,
     ) -> Result<Vec<HistoryRow>, ServiceError> {
         // A row that is committed but not published yet must not show: its change has not been answered.
@@ -256,8 +263,11 @@ impl Scene {
         if from > to {
             return Ok(Vec::new());
         }
-        self.read_history(move |history| history.rows(from, to, limit))
-            .await
+        self.read_history(move |history| match moves {
+            None => history.rows(from, to, limit),
+            Some(moves) => history.rows_of_moves(from, to, moves, limit),
+        })
+        .await
     }
 
     /// Where a cube is.

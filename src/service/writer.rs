@@ -18,11 +18,11 @@ use super::inbox::{Pending, Reply};
 use super::recover::{Halt, next_id_after, reopen};
 use super::scene::{Condition, Feed, Scene};
 use super::{
-    Applied, CHANGE_OPERATIONS_MAX, Counting, FaultStep, Operations, Published, SceneState, Seq,
-    ServiceError, Submission, meters,
+    Applied, CHANGE_OPERATIONS_MAX, Counting, FaultStep, Motion, Operations, Published, SceneState,
+    Seq, ServiceError, Submission, meters,
 };
 use crate::engine::{Counts, Engine, Judged, Op};
-use crate::geometry::{CubeId, Effect, Place};
+use crate::geometry::{CubeId, Effect, Place, Totals};
 use crate::log::{Answer, KeyRecord, Log, LogError, Record, SceneLog};
 
 /// Cubes that one step of a snapshot writes: a few milliseconds between two groups.
@@ -323,8 +323,8 @@ impl Live {
             Operations::Revert(to) => self.judge_revert(group, to)?.map(|judged| (judged, None)),
             operations => self.judge_operations(operations),
         };
-        Ok(judged
-            .map(|(judged, assigned)| self.apply(group, judged, assigned, submission.counting)))
+        let (counting, motion) = (submission.counting, submission.motion);
+        Ok(judged.map(|(judged, assigned)| self.apply(group, judged, assigned, counting, motion)))
     }
 
     fn judge_operations(
@@ -395,19 +395,21 @@ impl Live {
         judged: Judged,
         assigned: Option<IdRange>,
         counting: Counting,
+        motion: Motion,
     ) -> Applied {
         let counts = match counting {
             Counting::Net => judged.net,
             Counting::InOrder => judged.in_order,
         };
         let mut published = group.newest().unwrap_or(self.published);
-        if judged.effect != Effect::default() {
+        if judged.effect != Effect::default() || motion.is_said() {
             self.engine
                 .apply(&judged.effect)
                 .expect("an effect fits the set that it was judged against");
             for &(id, _) in &judged.effect.inserted {
                 self.next_id = next_id_after(self.next_id, id);
             }
+            let before = removed(&published.totals);
             published = Published {
                 seq: Seq(published.seq.0 + 1),
                 at_ms: now_ms().max(published.at_ms),
@@ -418,6 +420,8 @@ impl Live {
                 seq: published.seq,
                 at_ms: published.at_ms,
                 effect: judged.effect,
+                motion,
+                volume_removed: removed(&published.totals) - before,
                 totals: published.totals,
             });
         }
@@ -534,6 +538,14 @@ impl Group {
             at_ms: record.at_ms,
             totals: record.totals,
         })
+    }
+}
+
+/// Volume that is gone: from the stock, or into the union where there is no stock.
+fn removed(totals: &Totals) -> i128 {
+    match &totals.stock {
+        Some(stock) => stock.removed.volume,
+        None => totals.measures.volume,
     }
 }
 

@@ -6,13 +6,15 @@
 //! ```
 //! Floats are made last: what cancels (the inertia of a small part far from the origin) cancels in integers.
 
+use std::time::Duration;
+
 use ethnum::I256;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::geometry::{
-    Bounds, COORDINATE_MAX, Edge, EdgeKind, InvalidCube, InvalidEdge, Measures, Place, Totals,
-    VertexKind,
+    Bounds, COORDINATE_MAX, Edge, EdgeKind, InvalidCube, InvalidEdge, Measures, Place, Stock,
+    Totals, VertexKind,
 };
 
 /// How far from a whole number of steps an edge, or under [`Rounding::Reject`] a coordinate, may be. Units: steps.
@@ -64,6 +66,8 @@ pub struct WantedSettings {
     pub anchor: Anchor,
     /// What becomes of a coordinate between two steps.
     pub rounding: Rounding,
+    /// The block of material that is cut, if any.
+    pub stock: Option<StockDocument>,
 }
 
 impl WantedSettings {
@@ -76,8 +80,21 @@ impl WantedSettings {
             density: 1.0,
             anchor: Anchor::default(),
             rounding: Rounding::default(),
+            stock: None,
         }
     }
+}
+
+/// A block of material, in user units.
+#[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct StockDocument {
+    /// Least corner.
+    #[schema(example = json!([0.0, 0.0, -10.0]))]
+    pub min: [f64; 3],
+    /// Greatest corner.
+    #[schema(example = json!([80.0, 60.0, 0.0]))]
+    pub max: [f64; 3],
 }
 
 /// Why settings are refused: the field at fault says which.
@@ -110,6 +127,16 @@ pub enum InvalidSetting {
     /// `density` is no positive number in range.
     #[error("density is not a number above 0 and at most 1e200")]
     Density,
+    /// A coordinate of `stock` is no place on the lattice, or not above the lower one.
+    #[error("stock.{corner}[{axis}] {what}")]
+    Stock {
+        /// `min` or `max`.
+        corner: &'static str,
+        /// 0 for x, 1 for y, 2 for z.
+        axis: usize,
+        /// What is wrong with it.
+        what: String,
+    },
 }
 
 impl InvalidSetting {
@@ -120,6 +147,15 @@ impl InvalidSetting {
             Self::StepsPerUnit => "steps_per_unit",
             Self::Unit => "unit",
             Self::Density => "density",
+            Self::Stock { .. } => "stock",
+        }
+    }
+
+    /// The place of the fault in the settings: names and indices with slashes between.
+    pub fn place(&self) -> String {
+        match self {
+            Self::Stock { corner, axis, .. } => format!("stock/{corner}/{axis}"),
+            _ => self.field().to_owned(),
         }
     }
 }
@@ -133,6 +169,7 @@ pub struct Settings {
     density: f64,
     anchor: Anchor,
     rounding: Rounding,
+    stock: Option<Stock>,
 }
 
 /// Settings as they are answered and stored. Two settings are the same when these texts are.
@@ -155,6 +192,9 @@ pub struct SettingsDocument {
     pub anchor: Anchor,
     /// What becomes of a coordinate between two steps: the nearest step (halves away from zero), or refused.
     pub rounding: Rounding,
+    /// The block of material that is cut, in user units; left out when there is none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stock: Option<StockDocument>,
 }
 
 /// Why a coordinate of `at` is refused.
@@ -205,16 +245,72 @@ impl Settings {
             faults.push(InvalidSetting::Density);
         }
         match (edge, steps_per_unit) {
-            (Ok(edge), Some(steps_per_unit)) if faults.is_empty() => Ok(Self {
-                edge,
-                steps_per_unit,
-                unit: wanted.unit,
-                density: wanted.density,
-                anchor: wanted.anchor,
-                rounding: wanted.rounding,
-            }),
+            (Ok(edge), Some(steps_per_unit)) if faults.is_empty() => {
+                let mut settings = Self {
+                    edge,
+                    steps_per_unit,
+                    unit: wanted.unit,
+                    density: wanted.density,
+                    anchor: wanted.anchor,
+                    rounding: wanted.rounding,
+                    stock: None,
+                };
+                settings.stock = wanted
+                    .stock
+                    .map(|stock| settings.stock_steps(&stock))
+                    .transpose()?;
+                Ok(settings)
+            }
             _ => Err(faults),
         }
+    }
+
+    /// The lattice box of a stock in user units.
+    fn stock_steps(&self, stock: &StockDocument) -> Result<Stock, Vec<InvalidSetting>> {
+        let mut faults = Vec::new();
+        let mut corner = |name: &'static str, from: [f64; 3]| {
+            let mut steps = [0; 3];
+            for axis in 0..3 {
+                let product = from[axis] * f64::from(self.steps_per_unit);
+                let fits = |steps: &i64| steps.abs() <= i64::from(COORDINATE_MAX);
+                let what = match self.round(product, product) {
+                    Ok(whole) if fits(&whole) => {
+                        steps[axis] = whole;
+                        continue;
+                    }
+                    Err(InvalidCoordinate::OffLattice { steps }) => {
+                        format!("is {steps} steps, which is off the lattice")
+                    }
+                    Err(InvalidCoordinate::NotFinite) if !product.is_finite() => {
+                        "is not a finite number".to_owned()
+                    }
+                    Ok(_) | Err(_) => {
+                        let limit = self.user(i64::from(COORDINATE_MAX));
+                        format!("is outside -{limit} to {limit}")
+                    }
+                };
+                faults.push(InvalidSetting::Stock {
+                    corner: name,
+                    axis,
+                    what,
+                });
+            }
+            steps
+        };
+        let (min, max) = (corner("min", stock.min), corner("max", stock.max));
+        if faults.is_empty() {
+            for axis in (0..3).filter(|&axis| min[axis] >= max[axis]) {
+                faults.push(InvalidSetting::Stock {
+                    corner: "max",
+                    axis,
+                    what: "is not above the least corner's".to_owned(),
+                });
+            }
+        }
+        if !faults.is_empty() {
+            return Err(faults);
+        }
+        Ok(Stock::new(min, max).expect("both corners were checked"))
     }
 
     /// Reads settings back from the text that [`Settings::text`] made; none when it is not such a text.
@@ -227,6 +323,7 @@ impl Settings {
             density: document.density,
             anchor: document.anchor,
             rounding: document.rounding,
+            stock: document.stock,
         })
         .ok()
     }
@@ -245,12 +342,31 @@ impl Settings {
             density: self.density,
             anchor: self.anchor,
             rounding: self.rounding,
+            stock: self.stock.map(|stock| StockDocument {
+                min: self.point_user(stock.bounds().min),
+                max: self.point_user(stock.bounds().max),
+            }),
         }
     }
 
     /// Edge of every cube.
     pub fn edge(&self) -> Edge {
         self.edge
+    }
+
+    /// The block of material that is cut, if any.
+    pub fn stock(&self) -> Option<Stock> {
+        self.stock
+    }
+
+    /// Lattice steps in a user unit.
+    pub fn steps_per_unit(&self) -> u32 {
+        self.steps_per_unit
+    }
+
+    /// A volume in user units. Units of `steps3`: steps cubed.
+    pub fn volume_user(&self, steps3: i128) -> f64 {
+        float(steps3) / self.scale(3)
     }
 
     /// Label of the user unit.
@@ -521,11 +637,37 @@ pub struct MassProperties {
     pub vertices: Vertices,
     /// The exact integers.
     pub exact: Exact,
+    /// The union inside the stock; left out where there is no stock.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub removed: Option<PartProperties>,
+    /// The stock outside the union; left out where there is no stock.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub remaining: Option<PartProperties>,
 }
 
-/// The volume alone, in user units cubed.
-pub fn volume(measures: &Measures, settings: &Settings) -> f64 {
-    float(measures.volume) / settings.scale(3)
+/// The mass properties of a part of the stock.
+#[derive(Clone, PartialEq, Debug, Serialize, ToSchema)]
+pub struct PartProperties {
+    /// Volume, in user units cubed.
+    pub volume: f64,
+    /// Area, in user units squared.
+    pub area: f64,
+    /// Lengths of the edges, in user units.
+    pub edge_length: EdgeLength,
+    /// Density times volume.
+    pub mass: f64,
+    /// Integral of the mean curvature, in user units.
+    pub mean_curvature: f64,
+    /// Centre of mass, in user units; null when the part is empty.
+    pub centroid: Option<[f64; 3]>,
+    /// Inertia tensor about the centroid, in mass times user units squared.
+    pub inertia: [[f64; 3]; 3],
+    /// Pieces minus tunnels plus cavities of the closed set.
+    pub euler_characteristic: i64,
+    /// Number of vertices, by kind.
+    pub vertices: Vertices,
+    /// The exact integers.
+    pub exact: Exact,
 }
 
 /// The mass properties as every answer and every command shows them.
@@ -535,15 +677,48 @@ pub fn mass_properties(
     totals: &Totals,
     settings: &Settings,
 ) -> MassProperties {
-    let measures = &totals.measures;
-    let volume = volume(measures, settings);
-    let length = |steps: i128| float(steps) / settings.scale(1);
-    let [convex, concave, crossing] = [EdgeKind::Convex, EdgeKind::Concave, EdgeKind::Crossing]
-        .map(|kind| measures.edge_length_of(kind));
+    let PartProperties {
+        volume,
+        area,
+        edge_length,
+        mass,
+        mean_curvature,
+        centroid,
+        inertia,
+        euler_characteristic,
+        vertices,
+        exact,
+    } = part_properties(&totals.measures, settings);
+    let stock = totals.stock.as_ref();
     MassProperties {
         scene: scene.map(str::to_owned),
         seq,
         cubes: totals.cubes,
+        volume,
+        area,
+        edge_length,
+        mass,
+        mean_curvature,
+        centroid,
+        inertia,
+        bounds: totals.bounds.map(|Bounds { min, max }| UserBounds {
+            min: settings.point_user(min),
+            max: settings.point_user(max),
+        }),
+        euler_characteristic,
+        vertices,
+        exact,
+        removed: stock.map(|stock| part_properties(&stock.removed, settings)),
+        remaining: stock.map(|stock| part_properties(&stock.remaining, settings)),
+    }
+}
+
+fn part_properties(measures: &Measures, settings: &Settings) -> PartProperties {
+    let volume = settings.volume_user(measures.volume);
+    let length = |steps: i128| float(steps) / settings.scale(1);
+    let [convex, concave, crossing] = [EdgeKind::Convex, EdgeKind::Concave, EdgeKind::Crossing]
+        .map(|kind| measures.edge_length_of(kind));
+    PartProperties {
         volume,
         area: float(measures.area()) / settings.scale(2),
         edge_length: EdgeLength {
@@ -556,10 +731,6 @@ pub fn mass_properties(
         mean_curvature: std::f64::consts::FRAC_PI_4 * length(convex - concave - 2 * crossing),
         centroid: (measures.volume > 0).then(|| centroid(measures, settings)),
         inertia: inertia(measures, settings),
-        bounds: totals.bounds.map(|Bounds { min, max }| UserBounds {
-            min: settings.point_user(min),
-            max: settings.point_user(max),
-        }),
         euler_characteristic: measures.euler_characteristic(),
         vertices: Vertices {
             total: measures.vertices_total(),
@@ -583,6 +754,52 @@ pub fn mass_properties(
             second_moments3: measures.second_moments3.map(|moment| moment.to_string()),
             product_moments4: measures.product_moments4.map(|moment| moment.to_string()),
         },
+    }
+}
+
+/// Longest machine time of a change. Units: seconds.
+pub const DURATION_SECONDS_MAX: f64 = 1e9;
+
+/// Machine time in whole nanoseconds.
+/// # Errors
+/// What is wrong with it.
+pub fn duration_ns(seconds: f64) -> Result<u64, &'static str> {
+    Some(seconds)
+        .filter(|seconds| (0.0..=DURATION_SECONDS_MAX).contains(seconds))
+        .and_then(|seconds| Duration::try_from_secs_f64(seconds).ok())
+        .and_then(|duration| u64::try_from(duration.as_nanos()).ok())
+        .ok_or("is not a number of seconds from 0 to 1e9")
+}
+
+/// Seconds of so many nanoseconds.
+pub fn duration_user(nanoseconds: u64) -> f64 {
+    Duration::from_nanos(nanoseconds).as_secs_f64()
+}
+
+/// What a change took away, and how fast.
+#[derive(Clone, PartialEq, Debug)]
+pub struct Removal {
+    /// Machine time, in seconds; none when none was given.
+    pub duration: Option<f64>,
+    /// Volume removed from the stock, or added to the union where there is no stock, in user units cubed.
+    pub volume: f64,
+    /// The same in steps cubed, exact.
+    pub exact: String,
+    /// Volume removed in a second of machine time; none without a duration above 0.
+    pub rate: Option<f64>,
+}
+
+/// What a change took away, in `duration_ns` of machine time and steps cubed.
+pub fn removal(duration_ns: Option<u64>, steps3: i128, settings: &Settings) -> Removal {
+    let duration = duration_ns.map(duration_user);
+    let volume = settings.volume_user(steps3);
+    Removal {
+        duration,
+        volume,
+        exact: steps3.to_string(),
+        rate: duration
+            .filter(|seconds| *seconds > 0.0)
+            .map(|seconds| volume / seconds),
     }
 }
 

@@ -13,12 +13,12 @@ use serde::Deserialize;
 use serde::de::{DeserializeSeed, Deserializer, Error, MapAccess, SeqAccess, Visitor};
 use serde_json::value::RawValue;
 
-use super::convert::{Anchor, Rounding, Settings, WantedSettings};
+use super::convert::{self, Anchor, Rounding, Settings, StockDocument, WantedSettings};
 use super::problem::{Code, Fault, Faults, Problem};
 use super::proto;
 use crate::engine::Op;
 use crate::geometry::{CubeId, Place};
-use crate::service::{Operations, Seq};
+use crate::service::{Motion, Operations, Seq};
 
 const WHOLE: &str = "is not a whole number from 0 to 18446744073709551615";
 
@@ -29,6 +29,8 @@ pub struct Decoded {
     pub operations: Operations,
     /// How many of the operations are deletions.
     pub deletions: usize,
+    /// What the change belongs to.
+    pub motion: Motion,
 }
 
 /// What of an atomic change was read, before it is clear who numbers the cubes.
@@ -37,6 +39,7 @@ struct Columns {
     delete: Vec<CubeId>,
     ids: Vec<CubeId>,
     places: Vec<Place>,
+    motion: Motion,
 }
 
 impl Columns {
@@ -46,6 +49,7 @@ impl Columns {
             delete,
             ids,
             places,
+            motion,
         } = self;
         let deletions = delete.len();
         let operations = if ids.len() == places.len() {
@@ -67,6 +71,7 @@ impl Columns {
         Some(Decoded {
             operations,
             deletions,
+            motion,
         })
     }
 }
@@ -152,14 +157,14 @@ pub fn line(text: &[u8], settings: &Settings) -> Result<Op, Problem> {
 /// Reads an atomic change from a body that is a message `union3d.v1.Change`.
 /// # Errors
 /// [`Code::BadProtobuf`], [`Code::TooLarge`] above `cubes_max`, or [`Code::Invalid`] with every fault.
-pub fn body(body: &[u8], settings: &Settings, cubes_max: usize) -> Result<Decoded, Problem> {
-    message(&decoded(body)?, settings, cubes_max)
+pub fn message(body: &[u8], settings: &Settings, cubes_max: usize) -> Result<Decoded, Problem> {
+    change_message(&decoded(body)?, settings, cubes_max)
 }
 
-/// Reads an atomic change from a message.
+/// As [`message`], of a message that has been decoded.
 /// # Errors
-/// [`Code::TooLarge`] above `cubes_max`, or [`Code::Invalid`] with every fault.
-pub fn message(
+/// As [`message`].
+pub fn change_message(
     message: &proto::Change,
     settings: &Settings,
     cubes_max: usize,
@@ -195,7 +200,18 @@ pub fn message(
         delete: message.delete.iter().copied().map(CubeId).collect(),
         ids: message.insert_id.iter().copied().map(CubeId).collect(),
         places: Vec::with_capacity(count),
+        motion: Motion {
+            number: message.r#move,
+            duration_ns: None,
+        },
     };
+    match message.duration.map(convert::duration_ns).transpose() {
+        Ok(duration) => columns.motion.duration_ns = duration,
+        Err(detail) => faults.push(Fault {
+            value: message.duration.map(Into::into),
+            ..Fault::at("/duration".to_owned(), detail, None)
+        }),
+    }
     for index in 0..count {
         let corner = [message.x[index], message.y[index], message.z[index]];
         match Place::new(corner.map(i64::from), settings.edge()) {
@@ -221,7 +237,7 @@ pub fn message(
 /// Looks for ids that stand at two places of a message.
 /// # Errors
 /// [`Code::Invalid`] with all of them.
-pub fn message_duplicates(message: &proto::Change) -> Result<(), Problem> {
+pub fn change_message_duplicates(message: &proto::Change) -> Result<(), Problem> {
     let mut faults = Faults::default();
     let mut seen = HashMap::new();
     let corners = message.x.iter().zip(&message.y).zip(&message.z);
@@ -244,11 +260,11 @@ pub fn message_duplicates(message: &proto::Change) -> Result<(), Problem> {
     Err(faults.into_problem())
 }
 
-/// As [`message_duplicates`], of a body.
+/// As [`change_message_duplicates`], of a body.
 /// # Errors
-/// As [`message_duplicates`].
-pub fn body_duplicates(body: &[u8]) -> Result<(), Problem> {
-    message_duplicates(&decoded(body)?)
+/// As [`change_message_duplicates`].
+pub fn message_duplicates(body: &[u8]) -> Result<(), Problem> {
+    change_message_duplicates(&decoded(body)?)
 }
 
 fn decoded(body: &[u8]) -> Result<proto::Change, Problem> {
@@ -266,6 +282,7 @@ pub fn settings(body: &[u8]) -> Result<Settings, Problem> {
         "density",
         "anchor",
         "rounding",
+        "stock",
     ];
     let body = readable(body)?;
     let mut faults = Faults::default();
@@ -292,6 +309,9 @@ pub fn settings(body: &[u8]) -> Result<Settings, Problem> {
     read.take("rounding", &mut wanted.rounding, |raw| {
         typed(raw, "is neither \"nearest\" nor \"reject\"")
     });
+    if let Some(raw) = members.get("stock") {
+        wanted.stock = stock(raw, read.faults);
+    }
     checked(wanted, faults, |field| members.get(field))
 }
 
@@ -307,7 +327,7 @@ fn checked<'a>(
         Err(invalid) => {
             for invalid in invalid {
                 // A field that could not be read has its fault already; a default stood in for it.
-                let pointer = format!("/{}", invalid.field());
+                let pointer = format!("/{}", invalid.place());
                 if !faults.names(&pointer) {
                     let raw = sent(invalid.field());
                     faults.push(Fault::at(pointer, invalid.to_string(), raw));
@@ -352,7 +372,38 @@ pub fn settings_message(message: &proto::SceneSettings) -> Result<Settings, Prob
         Ok(proto::Rounding::Reject) => wanted.rounding = Rounding::Reject,
         Err(_) => unknown("rounding", message.rounding),
     }
+    if let Some(stock) = &message.stock {
+        let mut corner = |name: &str, corner: Option<proto::Vector>| {
+            if corner.is_none() {
+                let place = format!("/stock/{name}");
+                faults.push(Fault::at(place, "is missing", None));
+            }
+            corner.map(|corner| [corner.x, corner.y, corner.z])
+        };
+        let (min, max) = (corner("min", stock.min), corner("max", stock.max));
+        wanted.stock = min.zip(max).map(|(min, max)| StockDocument { min, max });
+    }
     checked(wanted, faults, |_| None)
+}
+
+/// Reads a block of material; a fault for each member that cannot be read.
+fn stock(raw: &RawValue, faults: &mut Faults) -> Option<StockDocument> {
+    let members = Members::read(raw, "/stock", &["min", "max"], faults)?;
+    let mut corner = |name: &str| {
+        let pointer = format!("/stock/{name}");
+        let Some(raw) = members.get(name) else {
+            faults.push(Fault::at(pointer, "is missing", None));
+            return None;
+        };
+        let read: Result<[f64; 3], _> = typed(raw, "is not a list of three numbers");
+        read.map_err(|detail| faults.push(Fault::at(pointer, detail, Some(raw))))
+            .ok()
+    };
+    let (min, max) = (corner("min"), corner("max"));
+    Some(StockDocument {
+        min: min?,
+        max: max?,
+    })
 }
 
 /// Reads what to go back to: `{"to":3}`.
@@ -421,6 +472,8 @@ fn some<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<u64>, D::Er
 enum Member {
     Delete,
     Insert,
+    Move,
+    Duration,
 }
 
 /// Reads an atomic change straight into its columns.
@@ -459,10 +512,22 @@ impl<'de> Visitor<'de> for ChangeReader<'_> {
 
     fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Columns, A::Error> {
         let mut columns = Columns::default();
-        let mut seen = [false; 2];
+        let mut seen = [false; 4];
         while let Some(member) = map.next_key::<Member>()? {
-            if std::mem::replace(&mut seen[usize::from(member == Member::Insert)], true) {
+            if std::mem::replace(&mut seen[member as usize], true) {
                 return Err(A::Error::custom("a member stands twice"));
+            }
+            match member {
+                Member::Move => {
+                    columns.motion.number = Some(map.next_value()?);
+                    continue;
+                }
+                Member::Duration => {
+                    let duration = convert::duration_ns(map.next_value()?);
+                    columns.motion.duration_ns = Some(duration.map_err(A::Error::custom)?);
+                    continue;
+                }
+                Member::Delete | Member::Insert => {}
             }
             map.next_value_seed(ColumnReader {
                 reader: self,
@@ -508,7 +573,7 @@ impl<'de> Visitor<'de> for ColumnReader<'_> {
                     columns.delete.push(CubeId(id));
                 }
             }
-            Member::Insert => {
+            Member::Insert | Member::Move | Member::Duration => {
                 while let Some(Row { id, at }) = list.next_element()? {
                     reader.count()?;
                     columns.ids.extend(id.map(CubeId));
@@ -790,11 +855,25 @@ struct ChangeScan<'a> {
 
 impl ChangeScan<'_> {
     fn change(&mut self, raw: &RawValue) {
-        let known = &["delete", "insert"];
+        let known = &["delete", "insert", "move", "duration"];
         let Some(members) = Members::read(raw, "", known, &mut self.faults) else {
             return;
         };
         for (name, raw) in &members.0 {
+            let said = match *name {
+                "move" => typed(raw, WHOLE).map(|number| self.columns.motion.number = Some(number)),
+                "duration" => number(raw)
+                    .and_then(convert::duration_ns)
+                    .map(|duration| self.columns.motion.duration_ns = Some(duration)),
+                _ => Ok(()),
+            };
+            if let Err(detail) = said {
+                let fault = Fault::at(format!("/{name}"), detail, Some(raw));
+                self.faults.push(fault);
+            }
+            if matches!(*name, "move" | "duration") {
+                continue;
+            }
             let is_list = each_element(raw, |index, raw| {
                 self.left = self.left.and_then(|left| left.checked_sub(1));
                 if *name == "delete" {
@@ -1124,7 +1203,7 @@ mod tests {
         let read =
             |message: &proto::Change| outcome(message_change(&message.encode_to_vec(), &settings));
         fn message_change(body: &[u8], settings: &Settings) -> Result<Decoded, Problem> {
-            super::body(body, settings, 5)
+            message(body, settings, 5)
         }
         let mut message = proto::Change {
             delete: vec![1],
@@ -1146,7 +1225,7 @@ mod tests {
         assert_eq!(outcome(message_change(b"\xff\xff", &settings)), "400");
         message.insert_id = vec![7, 7, 7];
         (message.x, message.y, message.z) = (vec![0, 0, 1], vec![0; 3], vec![0; 3]);
-        let problem = message_duplicates(&message).unwrap_err();
+        let problem = change_message_duplicates(&message).unwrap_err();
         assert_eq!(document(problem)["errors"][0]["pointer"], "/insert_id/2");
     }
 

@@ -13,7 +13,7 @@ use utoipa::openapi::{
 };
 use utoipa::{Modify, OpenApi, ToSchema};
 
-use super::convert::{Anchor, Rounding};
+use super::convert::{Anchor, Rounding, StockDocument};
 use super::http::{changes, operate, reads, scenes};
 use super::problem::{Code, Kind, ProblemDocument};
 
@@ -38,6 +38,8 @@ pub(super) struct SettingsWanted {
     /// What becomes of a coordinate between two steps.
     #[schema(default = "nearest")]
     rounding: Option<Rounding>,
+    /// The block of material that the cubes are cut from: then the mass properties say what was removed and what remains.
+    stock: Option<StockDocument>,
 }
 
 /// An atomic change: deletions first.
@@ -48,6 +50,12 @@ pub(super) struct ChangeWanted {
     delete: Option<Vec<u64>>,
     /// Cubes to insert.
     insert: Option<Vec<CubeWanted>>,
+    /// The sender's own number of the move or program line that the change belongs to.
+    #[schema(example = 120)]
+    r#move: Option<u64>,
+    /// Machine time of the change, in seconds.
+    #[schema(minimum = 0, maximum = 1_000_000_000, example = 0.25)]
+    duration: Option<f64>,
 }
 
 /// Where to go back to.

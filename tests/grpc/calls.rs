@@ -436,3 +436,116 @@ async fn a_watch_shows_the_newest_until_the_scene_goes() {
     };
     refused(&end, Code::NotFound, "no-such-scene");
 }
+
+/// A block of 100 x 10 x 10, cut from above: the same totals, moves and rates as over HTTP.
+#[tokio::test]
+async fn a_stock_is_cut_move_by_move() {
+    let server = Server::start().await;
+    let mut client = server.client();
+    let corner = |x, y, z| Some(Vector { x, y, z });
+    let settings = SceneSettings {
+        edge: 4.0,
+        steps_per_unit: Some(1),
+        stock: Some(union3d::wire::proto::Box {
+            min: corner(0.0, 0.0, -10.0),
+            max: corner(100.0, 10.0, 0.0),
+        }),
+        ..SceneSettings::default()
+    };
+    let create = |settings| CreateSceneRequest {
+        scene: "block".to_owned(),
+        settings: Some(settings),
+    };
+    let mut wrong = settings.clone();
+    wrong.stock.as_mut().unwrap().max = corner(100.0, 0.0, 0.0);
+    let refusal = client
+        .create_scene(create(wrong.clone()))
+        .await
+        .unwrap_err();
+    let fields = refused(&refusal, Code::InvalidArgument, "invalid");
+    assert_eq!(fields, ["settings.stock.max[1]"]);
+    wrong.stock.as_mut().unwrap().max = None;
+    let refusal = client.create_scene(create(wrong)).await.unwrap_err();
+    let fields = refused(&refusal, Code::InvalidArgument, "invalid");
+    assert_eq!(fields, ["settings.stock.max"]);
+    let made = client.create_scene(create(settings.clone())).await.unwrap();
+    let made = made.into_inner().scene.unwrap().settings.unwrap();
+    assert_eq!(made.stock, settings.stock);
+
+    // One cube a move, 2 deep; the third cuts air.
+    let cut = |id: u64, x: i32, z: i32, seconds| Change {
+        insert_id: vec![id],
+        x: vec![x],
+        y: vec![3],
+        z: vec![z],
+        r#move: Some(100 + id),
+        duration: Some(seconds),
+        ..Change::default()
+    };
+    let mut last = None;
+    for change in [
+        cut(1, 10, -2, 0.5),
+        cut(2, 12, -2, 0.25),
+        cut(3, 10, 50, 1.0),
+    ] {
+        last = Some(server.change("block", change).await.unwrap());
+    }
+    let shown = last.unwrap().mass_properties.unwrap();
+    let (removed, remaining) = (shown.removed.unwrap(), shown.remaining.unwrap());
+    assert_eq!(removed.volume, 6.0 * 4.0 * 2.0);
+    assert_eq!(removed.volume + remaining.volume, 10_000.0);
+    let (_, there) = server.get("/v1/scenes/block/mass-properties").await;
+    assert_eq!(
+        there["removed"]["exact"]["volume"],
+        removed.exact.unwrap().volume
+    );
+    assert_eq!(there["remaining"]["area"], remaining.area);
+    assert_eq!(
+        there["remaining"]["inertia"][0][1],
+        remaining.inertia.unwrap().xy
+    );
+
+    let history = GetHistoryRequest {
+        scene: "block".to_owned(),
+        move_from: Some(102),
+        detail: VOLUME,
+        ..GetHistoryRequest::default()
+    };
+    let rows = client
+        .get_history(history.clone())
+        .await
+        .unwrap()
+        .into_inner();
+    let rows: Vec<_> = rows.map(|row| row.unwrap()).collect().await;
+    let seen: Vec<_> = rows
+        .iter()
+        .map(|row| {
+            (
+                row.r#move(),
+                row.duration(),
+                row.volume_removed,
+                row.removal_rate(),
+            )
+        })
+        .collect();
+    assert_eq!(seen, [(102, 0.25, 16.0, 64.0), (103, 1.0, 0.0, 0.0)]);
+    assert_eq!(rows[0].volume_removed_exact, "16");
+    let volumes = rows[1].volumes.unwrap();
+    assert_eq!((volumes.removed(), volumes.remaining()), (48.0, 9_952.0));
+    let (_, there) = server.get("/v1/scenes/block/history?move_from=102").await;
+    assert_eq!(there["changes"][0]["removal_rate"], rows[0].removal_rate());
+    let first = GetHistoryRequest {
+        limit: Some(1),
+        move_to: Some(102),
+        ..history
+    };
+    let rows = client.get_history(first).await.unwrap().into_inner();
+    let rows: Vec<_> = rows.map(|row| row.unwrap().r#move()).collect().await;
+    assert_eq!(rows, [102]);
+    let wrong = cut(9, 0, 0, -1.0);
+    let refusal = server.change("block", wrong).await.unwrap_err();
+    assert_eq!(
+        refused(&refusal, Code::InvalidArgument, "invalid"),
+        ["change.duration"]
+    );
+}

@@ -31,6 +31,7 @@ async fn settings_are_refused_field_by_field() {
         density: Some(-1.0),
         anchor: 9,
         rounding: 9,
+        stock: None,
     };
     let mut fields = refused(&create("a", wrong).await, Code::InvalidArgument, "invalid");
     fields.sort();

@@ -263,10 +263,16 @@ async fn settled(count: &AtomicU64) -> u64 {
 
 #[tokio::test]
 async fn a_fast_sender_is_slowed_down_and_not_refused() {
+    // By the window, and by a queue that is shorter than the window.
+    for queue_changes_max in [1024, 16] {
+        slowed_down(queue_changes_max).await;
+    }
+}
+
+async fn slowed_down(queue_changes_max: usize) {
     let hold = Arc::new(AtomicBool::new(true));
-    let config = |mut config: union3d::service::ServiceConfig| {
-        // Less than the window: a full queue is waited for, too.
-        config.queue_changes_max = 16;
+    let config = move |mut config: union3d::service::ServiceConfig| {
+        config.queue_changes_max = queue_changes_max;
         config
     };
     let server = Server::with(Limits::default(), config, Some(held(&hold))).await;

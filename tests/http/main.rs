@@ -7,4 +7,5 @@ mod refusals;
 mod revert;
 mod scenes;
 mod server;
+mod simulation;
 mod streams;

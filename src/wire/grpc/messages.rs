@@ -5,7 +5,7 @@ use crate::geometry::{CubeId, Place};
 use crate::service::{Applied, HistoryRow, Published, Scene, SceneState};
 use crate::wire::calls::incarnation;
 use crate::wire::convert::{
-    self, Anchor, EdgeLength, Exact, Rounding, Settings, SettingsDocument, UserBounds,
+    self, Anchor, EdgeLength, Exact, Rounding, Settings, SettingsDocument, Vertices,
 };
 use crate::wire::problem::{Fault, Problem};
 use crate::wire::proto;
@@ -81,6 +81,7 @@ fn settings(document: SettingsDocument) -> proto::SceneSettings {
         density: Some(document.density),
         anchor: anchor.into(),
         rounding: rounding.into(),
+        stock: document.stock.map(|stock| bounding(stock.min, stock.max)),
     }
 }
 
@@ -94,8 +95,14 @@ pub(super) fn totals(
     match wanted {
         Detail::None => (None, None),
         Detail::Volume => {
-            let union = convert::volume(&published.totals.measures, settings);
-            (Some(proto::Volumes { union }), None)
+            let totals = &published.totals;
+            let stock = totals.stock.as_ref();
+            let volumes = proto::Volumes {
+                union: settings.volume_user(totals.measures.volume),
+                removed: stock.map(|stock| settings.volume_user(stock.removed.volume)),
+                remaining: stock.map(|stock| settings.volume_user(stock.remaining.volume)),
+            };
+            (Some(volumes), None)
         }
         Detail::Full => (None, Some(mass_properties(scene, settings, published))),
     }
@@ -134,50 +141,72 @@ pub(super) fn mass_properties(
         &published.totals,
         settings,
     );
-    let EdgeLength {
-        total,
-        convex,
-        concave,
-        crossing,
-    } = shown.edge_length;
-    let [[xx, xy, zx], [_, yy, yz], [_, _, zz]] = shown.inertia;
-    let vertices = shown.vertices;
+    let part = |part: convert::PartProperties| proto::PartProperties {
+        volume: part.volume,
+        area: part.area,
+        edge_length: Some(edge_length(part.edge_length)),
+        mass: part.mass,
+        mean_curvature: part.mean_curvature,
+        centroid: part.centroid.map(vector),
+        inertia: Some(inertia(part.inertia)),
+        euler_characteristic: part.euler_characteristic,
+        vertices: Some(vertices(part.vertices)),
+        exact: Some(exact(part.exact)),
+    };
     proto::MassProperties {
         scene: shown.scene.unwrap_or_default(),
         seq: shown.seq.unwrap_or_default(),
         cubes: shown.cubes,
         volume: shown.volume,
         area: shown.area,
-        edge_length: Some(proto::EdgeLength {
-            total,
-            convex,
-            concave,
-            crossing,
-        }),
+        edge_length: Some(edge_length(shown.edge_length)),
         mass: shown.mass,
         mean_curvature: shown.mean_curvature,
         centroid: shown.centroid.map(vector),
-        inertia: Some(proto::InertiaTensor {
-            xx,
-            yy,
-            zz,
-            xy,
-            yz,
-            zx,
-        }),
-        bounds: shown.bounds.map(|UserBounds { min, max }| proto::Box {
-            min: Some(vector(min)),
-            max: Some(vector(max)),
-        }),
+        inertia: Some(inertia(shown.inertia)),
+        bounds: shown.bounds.map(|bounds| bounding(bounds.min, bounds.max)),
         euler_characteristic: shown.euler_characteristic,
-        vertices: Some(proto::Vertices {
-            total: vertices.total,
-            corner: vertices.corner,
-            edge_face: vertices.edge_face,
-            three_face: vertices.three_face,
-            degenerate: vertices.degenerate,
-        }),
+        vertices: Some(vertices(shown.vertices)),
         exact: Some(exact(shown.exact)),
+        removed: shown.removed.map(part),
+        remaining: shown.remaining.map(part),
+    }
+}
+
+fn bounding(min: [f64; 3], max: [f64; 3]) -> proto::Box {
+    proto::Box {
+        min: Some(vector(min)),
+        max: Some(vector(max)),
+    }
+}
+
+fn edge_length(length: EdgeLength) -> proto::EdgeLength {
+    proto::EdgeLength {
+        total: length.total,
+        convex: length.convex,
+        concave: length.concave,
+        crossing: length.crossing,
+    }
+}
+
+fn inertia([[xx, xy, zx], [_, yy, yz], [_, _, zz]]: [[f64; 3]; 3]) -> proto::InertiaTensor {
+    proto::InertiaTensor {
+        xx,
+        yy,
+        zz,
+        xy,
+        yz,
+        zx,
+    }
+}
+
+fn vertices(vertices: Vertices) -> proto::Vertices {
+    proto::Vertices {
+        total: vertices.total,
+        corner: vertices.corner,
+        edge_face: vertices.edge_face,
+        three_face: vertices.three_face,
+        degenerate: vertices.degenerate,
     }
 }
 
@@ -224,6 +253,7 @@ pub(super) fn history_row(
         totals: row.totals,
     };
     let (volumes, mass_properties) = totals(wanted, scene, settings, &published);
+    let removal = convert::removal(row.motion.duration_ns, row.volume_removed, settings);
     proto::GetHistoryResponse {
         seq: row.seq.0,
         time: Some(timestamp(row.at_ms)),
@@ -231,6 +261,11 @@ pub(super) fn history_row(
         deleted: row.deleted,
         volumes,
         mass_properties,
+        r#move: row.motion.number,
+        duration: removal.duration,
+        volume_removed: removal.volume,
+        volume_removed_exact: removal.exact,
+        removal_rate: removal.rate,
     }
 }
 

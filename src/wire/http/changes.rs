@@ -12,7 +12,7 @@ use super::request::{self, BodyType, Parameters, Path, body_type, idempotency_ke
 use super::{App, ndjson, scenes};
 use crate::engine::{Counts, Op};
 use crate::geometry::CubeId;
-use crate::service::{Applied, Counting, Operations, Published, Scene, Submission};
+use crate::service::{Applied, Counting, Motion, Operations, Published, Scene, Submission};
 use crate::wire::atomic::{Atomic, Sent};
 use crate::wire::calls;
 use crate::wire::convert::{MassProperties, Settings, mass_properties};
@@ -110,7 +110,8 @@ fn applied_answer(
 /// `application/json` and `application/x-protobuf` (the message `union3d.v1.Change`) are one atomic change: deletions first, all or
 /// nothing. Inserting an id that is there at the same place, or deleting one that is not there, changes nothing and counts as
 /// `unchanged`, so a retry is safe. Ids may be left out of all cubes: then the server numbers them, and an `Idempotency-Key`
-/// makes a retry safe.
+/// makes a retry safe. `move` and `duration` say which movement of a machine the change belongs to and how many seconds it took: they
+/// stand in the history, and a change that has one takes a seq even when it changes no cube (nothing was cut, but time passed).
 ///
 /// `application/x-ndjson` is a stream of any length, a line an operation. Lines act in their order and are committed as they
 /// arrive; the answer comes at the end and adds them up. At a bad line it stops: all lines before it are committed.
@@ -229,6 +230,7 @@ pub(super) async fn delete_cube(
     let submission = Submission {
         operations: Operations::Named(vec![Op::Delete(id)]),
         counting: Counting::Net,
+        motion: Motion::default(),
         key: None,
     };
     let Applied {

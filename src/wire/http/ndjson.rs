@@ -17,7 +17,9 @@ use tokio::time::Instant;
 
 use super::request::{broken, slow_request};
 use crate::engine::{Counts, Op, Rejected};
-use crate::service::{Applied, Counting, Operations, Published, Scene, ServiceError, Submission};
+use crate::service::{
+    Applied, Counting, Motion, Operations, Published, Scene, ServiceError, Submission,
+};
 use crate::wire::atomic::conflict;
 use crate::wire::convert::Settings;
 use crate::wire::decode;
@@ -135,6 +137,7 @@ async fn commit(scene: &Scene, settings: &Settings, chunk: Chunk) -> Committed {
         let submission = Submission {
             operations: Operations::Named(operations[from..to].to_vec()),
             counting: Counting::InOrder,
+            motion: Motion::default(),
             key: None,
         };
         match scene.change(submission).await {

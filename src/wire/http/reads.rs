@@ -10,17 +10,19 @@ use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
-use futures_util::Stream;
+use futures_util::{Stream, TryStreamExt};
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::request::{Known, Parameters, Path, accepts_ndjson, whole};
+use super::request::{Known, Parameters, Path, accepts, accepts_ndjson, whole};
 use super::{App, scenes};
 use crate::engine::{Cursor, Side};
 use crate::geometry::{CubeId, Place};
-use crate::service::{Published, Scene, Seq};
-use crate::wire::calls;
-use crate::wire::convert::{MassProperties, Settings, mass_properties, rfc3339};
+use crate::service::{HistoryRow, Published, Scene, Seq, ServiceError};
+use crate::wire::calls::{self, HistoryRows};
+use crate::wire::convert::{
+    MassProperties, PartProperties, Removal, Settings, mass_properties, removal, rfc3339,
+};
 use crate::wire::problem::{Fault, Problem};
 
 const HISTORY_LIMIT: usize = 1_000;
@@ -145,14 +147,100 @@ pub(crate) struct HistoryEntry {
     /// When it was accepted: RFC 3339, UTC.
     #[schema(format = DateTime, example = "2026-03-01T12:00:00.000Z")]
     time: String,
+    /// The sender's number of the move it belongs to; null when none was given.
+    #[schema(example = 120)]
+    r#move: Option<u64>,
+    /// Machine time, in seconds; null when none was given.
+    #[schema(example = 0.25)]
+    duration: Option<f64>,
     /// Cubes that it inserted.
     inserted: u64,
     /// Cubes that it deleted.
     deleted: u64,
+    /// Volume that it removed from the stock, or added to the union where there is no stock, in user units cubed. Negative when it
+    /// gave some back.
+    volume_removed: f64,
+    /// The same in steps cubed, exact.
+    #[schema(example = "216000000000")]
+    volume_removed_exact: String,
+    /// Volume removed in a second of machine time; null without a duration above 0.
+    removal_rate: Option<f64>,
     /// The totals after it, with its seq.
     #[serde(flatten)]
     totals: MassProperties,
 }
+
+impl HistoryEntry {
+    fn new(scene: &str, row: &HistoryRow, settings: &Settings) -> Self {
+        let Removal {
+            duration,
+            volume,
+            exact,
+            rate,
+        } = removal(row.motion.duration_ns, row.volume_removed, settings);
+        Self {
+            time: rfc3339(row.at_ms),
+            r#move: row.motion.number,
+            duration,
+            inserted: row.inserted,
+            deleted: row.deleted,
+            volume_removed: volume,
+            volume_removed_exact: exact,
+            removal_rate: rate,
+            totals: mass_properties(Some(scene), Some(row.seq.0), &row.totals, settings),
+        }
+    }
+
+    /// The cells of a line of CSV, as [`CSV_HEADER`] names them.
+    fn cells(&self) -> [String; 17] {
+        // The shortest text that reads back as the same number.
+        let number = |value: f64| value.to_string();
+        let maybe = |value: Option<f64>| value.map(number).unwrap_or_default();
+        let part = |part: &Option<PartProperties>| maybe(part.as_ref().map(|part| part.volume));
+        let totals = &self.totals;
+        [
+            totals.seq.map(|seq| seq.to_string()).unwrap_or_default(),
+            self.time.clone(),
+            self.r#move
+                .map(|number| number.to_string())
+                .unwrap_or_default(),
+            maybe(self.duration),
+            self.inserted.to_string(),
+            self.deleted.to_string(),
+            totals.cubes.to_string(),
+            number(self.volume_removed),
+            maybe(self.removal_rate),
+            number(totals.volume),
+            number(totals.area),
+            number(totals.edge_length.total),
+            totals.euler_characteristic.to_string(),
+            part(&totals.removed),
+            part(&totals.remaining),
+            self.volume_removed_exact.clone(),
+            totals.exact.volume.clone(),
+        ]
+    }
+}
+
+const CSV_HEADER: [&str; 17] = [
+    "seq",
+    "time",
+    "move",
+    "duration",
+    "inserted",
+    "deleted",
+    "cubes",
+    "volume_removed",
+    "removal_rate",
+    "volume",
+    "area",
+    "edge_length",
+    "euler_characteristic",
+    "removed",
+    "remaining",
+    "volume_removed_exact",
+    "volume_exact",
+];
 
 /// Changes of the past.
 #[derive(Serialize, ToSchema)]
@@ -166,48 +254,108 @@ pub(crate) struct History {
 
 /// Get the history
 ///
-/// The totals after every change: the curve of volume against moves. Changes that are no longer kept are left out.
+/// The totals after every change, what it removed and how fast: the curve of volume against moves. Changes that are no longer kept
+/// are left out. `Accept: text/csv` or `application/x-ndjson` streams all that are asked for, a line a change; JSON comes in pages.
 #[utoipa::path(
     get, path = "/v1/scenes/{scene}/history", tag = "mass properties",
     params(
         ("scene" = String, Path, description = "Name of the scene", example = "pocket"),
         ("from" = Option<u64>, Query, description = "First seq, 1 if left out"),
         ("to" = Option<u64>, Query, description = "Last seq, the newest if left out"),
-        ("limit" = Option<usize>, Query, description = "Most changes in the answer, 1 to 10,000; 1,000 if left out"),
+        ("move_from" = Option<u64>, Query, description = "Least number of a move; changes without a move are left out"),
+        ("move_to" = Option<u64>, Query, description = "Greatest number of a move; changes without a move are left out"),
+        ("limit" = Option<usize>, Query, description = "Most changes in the answer. JSON: 1 to 10,000, 1,000 if left out. Lines: any, all if left out"),
     ),
-    responses((status = 200, description = "Changes, oldest first", body = History))
+    responses((status = 200, description = "Changes, oldest first", content(
+        (History = "application/json"),
+        (String = "text/csv"),
+        (String = "application/x-ndjson"),
+    )))
 )]
 pub(super) async fn get_history(
     State(app): State<App>,
     Path(name): Path<String>,
     parameters: Parameters,
-) -> Result<Json<History>, Problem> {
-    let query = parameters.only(&["from", "to", "limit"])?;
-    let limit = query.limit(HISTORY_LIMIT, HISTORY_LIMIT_MAX)?;
-    let (from, to) = (query.number("from")?, query.number("to")?);
-    let (scene, settings) = scenes::open(&app, &name)?;
-    let newest = scene.published()?.seq.0;
-    let from = from.unwrap_or(1).max(1);
-    let to = to.unwrap_or(newest).min(newest);
-    let rows = if from > to {
-        vec![]
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    let query = parameters.only(&["from", "to", "move_from", "move_to", "limit"])?;
+    let lines = if accepts(&headers, "text/csv") {
+        Some(Lines::Csv)
+    } else if accepts_ndjson(&headers) {
+        Some(Lines::Json)
     } else {
-        scene.history(Seq(from), Seq(to), limit).await?
+        None
     };
-    let next = rows.last().map(|row| row.seq.0 + 1);
-    let next = next
-        .filter(|next| *next <= to)
-        .map(|next| format!("/v1/scenes/{name}/history?from={next}&to={to}&limit={limit}"));
-    let entry = |row: crate::service::HistoryRow| HistoryEntry {
-        time: rfc3339(row.at_ms),
-        inserted: row.inserted,
-        deleted: row.deleted,
-        totals: mass_properties(Some(&name), Some(row.seq.0), &row.totals, &settings),
+    let limit = match lines {
+        Some(_) => query.number("limit")?.unwrap_or(u64::MAX),
+        None => query.limit(HISTORY_LIMIT, HISTORY_LIMIT_MAX)? as u64,
     };
-    Ok(Json(History {
-        changes: rows.into_iter().map(entry).collect(),
-        next,
-    }))
+    let (from, to) = (query.number("from")?, query.number("to")?);
+    let (move_from, move_to) = (query.number("move_from")?, query.number("move_to")?);
+    let (scene, settings) = scenes::open(&app, &name)?;
+    let mut rows = HistoryRows::new(scene, [from, to], [move_from, move_to], limit)?;
+    if let Some(lines) = lines {
+        return Ok(stream(rows, name, settings, lines));
+    }
+    let mut changes = Vec::new();
+    while let Some(page) = rows.page().await? {
+        changes.extend(
+            page.iter()
+                .map(|row| HistoryEntry::new(&name, row, &settings)),
+        );
+    }
+    let next = rows.next.map(|next| {
+        let mut link = format!("/v1/scenes/{name}/history?from={next}&to={}", rows.to);
+        for (parameter, number) in [("move_from", move_from), ("move_to", move_to)] {
+            if let Some(number) = number {
+                write!(link, "&{parameter}={number}").expect("a String takes everything");
+            }
+        }
+        link + &format!("&limit={limit}")
+    });
+    Ok((VARY, Json(History { changes, next })).into_response())
+}
+
+const VARY: [(header::HeaderName, HeaderValue); 1] =
+    [(header::VARY, HeaderValue::from_static("accept"))];
+
+/// How lines are written.
+#[derive(Clone, Copy)]
+enum Lines {
+    Csv,
+    Json,
+}
+
+/// All of them as lines. What fails on the way breaks the answer off: its status has been sent.
+fn stream(mut rows: HistoryRows, name: String, settings: Settings, lines: Lines) -> Response {
+    let kind = match lines {
+        Lines::Csv => "text/csv; charset=utf-8",
+        Lines::Json => "application/x-ndjson",
+    };
+    let body = async_stream::try_stream! {
+        if matches!(lines, Lines::Csv) {
+            yield Bytes::from(CSV_HEADER.join(",") + "\n");
+        }
+        while let Some(page) = rows.page().await? {
+            let mut text = String::with_capacity(page.len() * 512);
+            for row in &page {
+                let entry = HistoryEntry::new(&name, row, &settings);
+                match lines {
+                    Lines::Csv => text += &entry.cells().join(","),
+                    Lines::Json => text += &serde_json::to_string(&entry).expect("numbers and strings are JSON"),
+                }
+                text.push('\n');
+            }
+            yield Bytes::from(text);
+        }
+    };
+    let body = Body::from_stream(body.map_err(|error: ServiceError| error));
+    (
+        VARY,
+        [(header::CONTENT_TYPE, HeaderValue::from_static(kind))],
+        body,
+    )
+        .into_response()
 }
 
 /// A cube.
@@ -281,8 +429,6 @@ pub(super) async fn get_cubes(
     parameters: Parameters,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    const VARY: [(header::HeaderName, HeaderValue); 1] =
-        [(header::VARY, HeaderValue::from_static("accept"))];
     if accepts_ndjson(&headers) {
         parameters.only(&[])?;
         let (scene, settings) = scenes::open(&app, &name)?;

@@ -170,13 +170,18 @@ pub(super) fn body_type(headers: &HeaderMap, taken: &[BodyType]) -> Result<BodyT
 
 /// Whether the client would rather have lines of JSON.
 pub(super) fn accepts_ndjson(headers: &HeaderMap) -> bool {
+    accepts(headers, BodyType::Ndjson.name())
+}
+
+/// Whether the client names this type.
+pub(super) fn accepts(headers: &HeaderMap, kind: &str) -> bool {
     headers
         .get_all(header::ACCEPT)
         .iter()
         .filter_map(|value| value.to_str().ok())
         .flat_map(|value| value.split(','))
         .filter_map(|range| range.split(';').next())
-        .any(|essence| essence.trim().eq_ignore_ascii_case(BodyType::Ndjson.name()))
+        .any(|essence| essence.trim().eq_ignore_ascii_case(kind))
 }
 
 /// The header `Idempotency-Key`, if there is one.

@@ -1,4 +1,7 @@
-//! `union3d mill`: G-code to the cubes that a cubic cutter sweeps.
+//! `union3d mill`: G-code to the cubes that a cubic cutter sweeps, and what each line removes.
+
+mod tally;
+mod target;
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -10,17 +13,27 @@ use std::time::Instant;
 use indicatif::ProgressBar;
 use serde_json::{Value, value::RawValue};
 
-use super::client::{BATCH_CUBES, Client, SceneWanted, Stream};
+use self::tally::{Cutting, Tally};
+use self::target::{Part, Target};
+use super::client::{Client, SceneWanted};
 use super::cutter::{Cutter, STEPS_PER_EDGE, Unit};
 use super::input::{self, Input};
 use super::{Outcome, progress, report};
-use union3d::engine::Engine;
-use union3d::geometry::{CubeId, Effect, Place};
-use union3d::toolpath::{Event, Motion, Moves, Warning};
-use union3d::wire::convert::{self, Anchor, Settings, WantedSettings};
+use union3d::geometry::Place;
+use union3d::toolpath::{Event, Motion, Move, Moves, Warning};
+use union3d::wire::convert::{Anchor, Settings, StockDocument, WantedSettings};
 
 /// Positions nearer to each other than this many lattice steps make no more places, only more work.
 const LATTICE_STEPS_MIN: f64 = 0.01;
+
+/// Cubes of one change: a longer line becomes several, all with its number.
+const PART_CUBES_MAX: usize = 65_536;
+
+/// Speed of rapids when --rapid-rate is not given. Units: mm a minute.
+const RAPID_RATE_MM: f64 = 5000.0;
+
+/// The exit status when rapids cut and --fail-on-rapid-cut is given.
+const RAPID_CUT: u8 = 3;
 
 /// Warnings of one kind that are printed; the rest are counted.
 const WARNINGS_MAX: u64 = 10;
@@ -32,19 +45,25 @@ const WARNINGS_MAX: u64 = 10;
 
 The cutter is an axis-aligned cube of the given edge, centred on the path. It is put down at least once every --step along \
 straight lines and arcs, at both ends of every move, rounded to the lattice (halves away from zero); a place it is in already \
-is not counted again. Feed moves cut; --rapid counts the rapids (G0) too.
+is not counted again. Feed moves cut; --rapid counts the rapids (G0) too. With a stock rapids are always swept, and those that \
+remove something are reported.
 
 Understood: G0 G1 G2 G3 (I J K or R, helices, full circles), G4, G17 G18 G19, G20 G21, G90 G91, G90.1 G91.1, G92, G93 G94, \
 modal words, line numbers, comments, M0 M1 M2 M30. What else stands in the program is reported by line, once per kind: ignored \
 when the path is still the one that is written, refused (nothing is measured) when it would be wrong. The cutter starts at the origin.
 
-Without --server the cubes go into an engine in this process. With --server they are streamed into a scene of a running \
-`union3d serve`, which is made if it is not there; its mass properties are those of everything in it.",
+Each line of the program is one change, with the line's number as its `move` and its machine time as its `duration`: length by feed, \
+and rapids at --rapid-rate. The report says what was removed, how fast, which lines cut nothing, and which rapids hit material.
+
+Without --server or --grpc the cubes go into an engine in this process. With one of them they go into a scene of a running \
+`union3d serve`, which is made if it is not there; its mass properties are those of everything in it. --grpc streams: changes follow \
+each other without waiting for answers. --server asks over HTTP, one line after the other.",
     after_long_help = "Examples:
   union3d mill pocket.gcode --edge 3.175
   union3d mill pocket.gcode --edge 3.175 --step 0.05 --out pocket.i32
   union3d measure pocket.i32 --edge 3.175
   union3d mill pocket.gcode --edge 0.125 --unit inch
+  union3d mill pocket.gcode --edge 3.175 --stock 0,0,-10:80,60,0 --csv lines.csv --fail-on-rapid-cut
   union3d mill pocket.gcode --edge 3.175 --server http://127.0.0.1:7373 --scene pocket
   cat pocket.gcode | union3d mill - --edge 3.175 --json"
 )]
@@ -57,12 +76,27 @@ pub(crate) struct Args {
     /// Longest way between two positions of the cutter, in the scene's unit [default: a twentieth of the edge].
     #[arg(long, value_name = "LENGTH", value_parser = positive)]
     step: Option<f64>,
-    /// Stream the cubes to this server, such as `http://127.0.0.1:7373`, instead of measuring them here.
-    #[arg(long, value_name = "URL")]
+    /// Send the cubes to this server over HTTP, such as `http://127.0.0.1:7373`, instead of measuring them here.
+    #[arg(long, value_name = "URL", conflicts_with = "grpc")]
     server: Option<String>,
+    /// Stream the cubes to this server over gRPC, such as `grpc://127.0.0.1:7374`.
+    #[arg(long, value_name = "URL")]
+    grpc: Option<String>,
     /// Scene on the server [default: the file's name].
-    #[arg(long, value_name = "NAME", requires = "server")]
+    #[arg(long, value_name = "NAME")]
     scene: Option<String>,
+    /// The block of material, from its least to its greatest corner in the scene's unit: `x,y,z:x,y,z`.
+    #[arg(long, value_name = "MIN:MAX", value_parser = stock, allow_hyphen_values = true)]
+    stock: Option<[[f64; 3]; 2]>,
+    /// Speed of rapids, in the scene's unit a minute [default: 5000 mm a minute].
+    #[arg(long, value_name = "RATE", value_parser = positive)]
+    rapid_rate: Option<f64>,
+    /// Write what each line removed to this file, as CSV.
+    #[arg(long, value_name = "FILE")]
+    csv: Option<PathBuf>,
+    /// End with status 3 when a rapid removes something.
+    #[arg(long, requires = "stock")]
+    fail_on_rapid_cut: bool,
     /// Unit of the scene, of --edge and of --step. The program's own unit is what its G20 or G21 says.
     #[arg(long, value_enum, default_value_t = Unit::Mm)]
     unit: Unit,
@@ -75,7 +109,7 @@ pub(crate) struct Args {
     /// Write the lower corners of the cubes, in steps, as little-endian 32-bit triplets: a file for `union3d measure`.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// Print one JSON object: `{"moves","cubes","seconds","mass_properties"}`.
+    /// Print one JSON object: `{"moves","cubes","seconds","cutting","mass_properties"}`.
     #[arg(long)]
     json: bool,
 }
@@ -88,12 +122,27 @@ fn positive(text: &str) -> Result<f64, String> {
     }
 }
 
+/// A block, such as `0,0,-10:80,60,0`.
+fn stock(text: &str) -> Result<[[f64; 3]; 2], String> {
+    let corner = |text: &str| -> Option<[f64; 3]> {
+        let numbers: Result<Vec<f64>, _> = text
+            .split(',')
+            .map(|number| number.trim().parse())
+            .collect();
+        numbers.ok()?.try_into().ok()
+    };
+    text.split_once(':')
+        .and_then(|(min, max)| Some([corner(min)?, corner(max)?]))
+        .ok_or_else(|| "it is not two corners, such as 0,0,-10:80,60,0".to_owned())
+}
+
 /// What `mill --json` prints.
 #[derive(serde::Serialize)]
 struct Milled<'answer> {
     moves: u64,
     cubes: u64,
     seconds: f64,
+    cutting: Cutting,
     mass_properties: &'answer RawValue,
 }
 
@@ -102,15 +151,10 @@ pub(crate) fn run(args: Args) -> Outcome {
     let settings = settings(&args)?;
     let source = input::open(&args.file)?;
     let runtime = tokio::runtime::Runtime::new()?;
-    runtime.block_on(mill(args, &settings, source))?;
-    Ok(ExitCode::SUCCESS)
+    runtime.block_on(mill(args, &settings, source))
 }
 
-async fn mill(
-    args: Args,
-    settings: &Settings,
-    (source, size): Input,
-) -> Result<(), Box<dyn std::error::Error>> {
+async fn mill(args: Args, settings: &Settings, (source, size): Input) -> Outcome {
     let started = Instant::now();
     let step = args.step.unwrap_or(args.edge / STEPS_PER_EDGE);
     if step * f64::from(args.steps_per_unit) < LATTICE_STEPS_MIN {
@@ -120,18 +164,15 @@ async fn mill(
         .into());
     }
     let mut target = target(&args, settings).await?;
-    let mut out = match &args.out {
-        Some(path) => Some(BufWriter::new(
-            File::create(path).map_err(input::about(path))?,
-        )),
-        None => None,
-    };
+    let mut out = created(args.out.as_deref())?;
+    let csv = created(args.csv.as_deref())?.map(|file| Box::new(file) as Box<dyn Write>);
+    let mut tally = Tally::new(args.steps_per_unit, csv);
     let bar = progress::bytes(size);
     let mut warnings = Warnings::default();
     let mut cutter = Cutter::new(settings, args.unit, step);
     let mut program = Moves::new(BufReader::new(source));
     let (mut moves, mut cubes) = (0, 0_u64);
-    let mut batch = Vec::with_capacity(BATCH_CUBES);
+    let mut part: Option<Part> = None;
     while let Some(event) = program.next() {
         let next = match event? {
             Event::Move(next) => next,
@@ -141,47 +182,100 @@ async fn mill(
                 continue;
             }
         };
-        if next.motion == Motion::Rapid && !args.rapid {
+        let rapid = next.motion == Motion::Rapid;
+        if rapid && !args.rapid && args.stock.is_none() {
             continue;
         }
         moves += 1;
+        if part
+            .as_ref()
+            .is_some_and(|part| (part.line, part.rapid) != (next.line, rapid))
+            && let Some(complete) = part.take()
+        {
+            settle(&mut tally, &args, target.send(complete).await?)?;
+            bar.set_position(program.bytes());
+            bar.set_message(format!("{} cubes", report::figure(&cubes.into())));
+        }
+        let mut open = part.take().unwrap_or_else(|| Part::new(next.line, rapid));
+        open.last(seconds(&next, &args));
         for place in cutter.places(&next) {
             let place = place?;
             if let Some(out) = &mut out {
                 write(out, place)
                     .map_err(input::about(args.out.as_deref().unwrap_or(Path::new(""))))?;
             }
-            batch.push(place);
+            open.places.push(place);
             cubes += 1;
-            if batch.len() == BATCH_CUBES {
-                target
-                    .insert(std::mem::replace(
-                        &mut batch,
-                        Vec::with_capacity(BATCH_CUBES),
-                    ))
-                    .await?;
-                bar.set_position(program.bytes());
-                bar.set_message(format!("{} cubes", report::figure(&cubes.into())));
+            if open.places.len() == PART_CUBES_MAX {
+                let full = std::mem::replace(&mut open, Part::new(next.line, rapid));
+                settle(&mut tally, &args, target.send(full).await?)?;
             }
         }
+        part = Some(open);
     }
-    if !batch.is_empty() {
-        target.insert(batch).await?;
+    if let Some(complete) = part {
+        settle(&mut tally, &args, target.send(complete).await?)?;
     }
     if let (Some(out), Some(path)) = (&mut out, &args.out) {
         out.flush().map_err(input::about(path))?;
     }
-    let mass_properties = target.finish(settings).await?;
+    let (cuts, mass_properties) = target.finish(settings).await?;
+    settle(&mut tally, &args, cuts)?;
+    let cutting = tally.finish().map_err(about_csv(&args))?;
     let seconds = started.elapsed().as_secs_f64();
     bar.finish_and_clear();
     warnings.close(&bar);
+    let rapids_cut = cutting.rapid_cuts.count > 0;
     let milled = Milled {
         moves,
         cubes,
         seconds,
+        cutting,
         mass_properties: &mass_properties,
     };
-    print(&args, &milled)
+    print(&args, &milled)?;
+    Ok(if rapids_cut && args.fail_on_rapid_cut {
+        ExitCode::from(RAPID_CUT)
+    } else {
+        ExitCode::SUCCESS
+    })
+}
+
+/// Machine time of a move; none when the program gives no feed.
+fn seconds(next: &Move, args: &Args) -> Option<f64> {
+    let rate = if next.motion == Motion::Rapid {
+        let rate = args.rapid_rate.map(|rate| rate * args.unit.mm());
+        Some(rate.unwrap_or(RAPID_RATE_MM))
+    } else {
+        next.feed
+    };
+    rate.filter(|rate| *rate > 0.0)
+        .map(|rate| next.length / rate * 60.0)
+}
+
+fn settle(
+    tally: &mut Tally<'_>,
+    args: &Args,
+    cuts: Vec<tally::Cut>,
+) -> Result<(), Box<dyn std::error::Error>> {
+    for cut in cuts {
+        tally.take(cut).map_err(about_csv(args))?;
+    }
+    Ok(())
+}
+
+fn about_csv(args: &Args) -> impl Fn(csv::Error) -> Box<dyn std::error::Error> {
+    let path = args.csv.clone().unwrap_or_default();
+    move |error| format!("{}: {error}", path.display()).into()
+}
+
+fn created(path: Option<&Path>) -> Result<Option<BufWriter<File>>, Box<dyn std::error::Error>> {
+    Ok(match path {
+        Some(path) => Some(BufWriter::new(
+            File::create(path).map_err(input::about(path))?,
+        )),
+        None => None,
+    })
 }
 
 fn print(args: &Args, milled: &Milled<'_>) -> Result<(), Box<dyn std::error::Error>> {
@@ -208,7 +302,68 @@ fn print(args: &Args, milled: &Milled<'_>) -> Result<(), Box<dyn std::error::Err
         )?;
     }
     write!(output, "{}", report::table(&properties, args.unit.label()))?;
+    write!(output, "\n{}", report_cutting(&milled.cutting, args))?;
     Ok(())
+}
+
+/// What was removed and how, for people.
+fn report_cutting(cutting: &Cutting, args: &Args) -> String {
+    let unit = args.unit.label();
+    let number = |value: f64| report::figure(&value.into());
+    let mut text = String::new();
+    let mut row = |name: &str, value: String| {
+        text += &format!("{name:<22}{value}\n");
+    };
+    row(
+        "removed",
+        format!("{} {unit}^3", number(cutting.volume_removed)),
+    );
+    row(
+        "machine time",
+        format!(
+            "{} s in {} lines",
+            number(cutting.machine_seconds),
+            cutting.lines
+        ),
+    );
+    if let (Some(mean), Some(peak), Some(line)) = (
+        cutting.removal_rate.mean,
+        cutting.removal_rate.peak,
+        cutting.removal_rate.peak_line,
+    ) {
+        row(
+            "removal rate",
+            format!(
+                "mean {} {unit}^3/s, peak {} {unit}^3/s on line {line}",
+                number(mean),
+                number(peak)
+            ),
+        );
+    }
+    let lines = |lines: &[u64], count: u64| {
+        let shown: Vec<String> = lines.iter().take(10).map(u64::to_string).collect();
+        match (count, shown.len() as u64) {
+            (0, _) => "none".to_owned(),
+            (count, shown_count) if count > shown_count => {
+                format!("{count} lines: {}, ...", shown.join(", "))
+            }
+            (count, _) => format!("{count} lines: {}", shown.join(", ")),
+        }
+    };
+    row(
+        "air cuts",
+        lines(&cutting.air_cuts.lines, cutting.air_cuts.count),
+    );
+    if args.stock.is_some() {
+        let rapids = &cutting.rapid_cuts;
+        let of: Vec<u64> = rapids.lines.iter().map(|cut| cut.line).collect();
+        let mut said = lines(&of, rapids.count);
+        if rapids.count > 0 {
+            said += &format!(" ({} {unit}^3)", number(rapids.volume));
+        }
+        row("rapids that cut", said);
+    }
+    text
 }
 
 fn settings(args: &Args) -> Result<Settings, Box<dyn std::error::Error>> {
@@ -216,6 +371,7 @@ fn settings(args: &Args) -> Result<Settings, Box<dyn std::error::Error>> {
         steps_per_unit: args.steps_per_unit.into(),
         unit: args.unit.label().to_owned(),
         anchor: Anchor::Center,
+        stock: args.stock.map(|[min, max]| StockDocument { min, max }),
         ..WantedSettings::with_edge(args.edge)
     };
     Ok(Settings::check(wanted).map_err(|faults| input::faults(&faults))?)
@@ -250,59 +406,24 @@ fn scene_name(path: &Path) -> String {
     }
 }
 
-/// Where the cubes go.
-enum Target {
-    Engine { engine: Box<Engine>, next_id: u64 },
-    Server(Stream),
-}
-
 async fn target(args: &Args, settings: &Settings) -> Result<Target, Box<dyn std::error::Error>> {
-    let Some(server) = &args.server else {
-        return Ok(Target::Engine {
-            engine: Box::new(Engine::new(settings.edge())),
-            next_id: 1,
-        });
-    };
     let wanted = SceneWanted {
         name: args.scene.clone().unwrap_or_else(|| scene_name(&args.file)),
         edge: settings.document().edge,
         steps_per_unit: args.steps_per_unit,
         unit: args.unit.label().to_owned(),
+        stock: settings.document().stock,
     };
-    let (client, largest_id) = Client::open(server, &wanted).await?;
-    Ok(Target::Server(Stream::new(client, largest_id)))
-}
-
-impl Target {
-    async fn insert(&mut self, places: Vec<Place>) -> Result<(), Box<dyn std::error::Error>> {
-        match self {
-            Self::Engine { engine, next_id } => {
-                let ids = (*next_id..).map(CubeId);
-                *next_id += places.len() as u64;
-                let effect = Effect {
-                    deleted: vec![],
-                    inserted: ids.zip(places).collect(),
-                };
-                engine.apply(&effect)?;
-            }
-            Self::Server(stream) => stream.send(places).await?,
+    match (&args.server, &args.grpc) {
+        (Some(server), _) => {
+            let (client, largest_id) = Client::open(server, &wanted).await?;
+            Target::http(client, largest_id).await
         }
-        Ok(())
-    }
-
-    async fn finish(
-        self,
-        settings: &Settings,
-    ) -> Result<Box<RawValue>, Box<dyn std::error::Error>> {
-        Ok(match self {
-            Self::Engine { engine, .. } => {
-                let totals = engine.totals();
-                serde_json::value::to_raw_value(&convert::mass_properties(
-                    None, None, &totals, settings,
-                ))?
-            }
-            Self::Server(stream) => stream.finish().await?,
-        })
+        (None, Some(_)) => Err("gRPC is not there yet".into()),
+        (None, None) if args.scene.is_some() => {
+            Err("--scene names a scene of a server: give --server or --grpc, too".into())
+        }
+        (None, None) => Ok(Target::engine(settings)),
     }
 }
 

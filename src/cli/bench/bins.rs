@@ -1,0 +1,111 @@
+//! Time against the side of the grid's bins, as Table 2 of UNION3's paper has it: a wide range of sides does as well as the best.
+
+use std::path::Path;
+use std::time::Instant;
+
+use indicatif::ProgressBar;
+use union3d::engine::Engine;
+use union3d::geometry::Totals;
+
+use super::engine::Scenario;
+use super::figures::{float, median};
+use super::plot::{Axis, Line, Plot};
+use super::sets::{Online, Set};
+use super::table::{Cell, Table, figure, text};
+use super::workload::Workload;
+use crate::cli::input;
+
+/// What is measured when nothing is named.
+pub(super) const WORKLOADS: [Workload; 4] = [
+    Workload::Rho03,
+    Workload::Rho1,
+    Workload::Rho10,
+    Workload::Raster,
+];
+
+/// Sides of the bins, as powers of two: from a third of an edge of 6,000 steps to 44 edges.
+const SHIFTS: std::ops::RangeInclusive<u32> = 11..=18;
+
+/// Measures and plots.
+pub(super) fn measure(
+    workloads: &[Workload],
+    cubes: usize,
+    runs: usize,
+    seed: u64,
+    plot: &Path,
+    bar: &ProgressBar,
+) -> Result<Table, Box<dyn std::error::Error>> {
+    let mut table = Table::new(
+        "Time against the side of the bins",
+        "Microseconds to insert a cube and delete it again (everything inserted, then everything deleted, oldest first), by the side of the \
+         grid's bins in edges; `own` is the engine's own choice, which follows the data. Medians.",
+        [
+            ("workload", "workload"),
+            ("cubes", "cubes"),
+            ("bin_side_in_edges", "bin side"),
+            ("insert_and_delete_us", "insert and delete us"),
+            ("times_own_choice", "x own"),
+        ],
+    );
+    let mut lines = Vec::new();
+    for &workload in workloads {
+        let scenario = Scenario::of(workload, cubes, seed)?;
+        let expected = scenario.totals();
+        let time = |shift: Option<u32>| -> Result<f64, String> {
+            let mut paces = Vec::new();
+            for run in 1..=runs {
+                let name = &scenario.name;
+                let bins =
+                    shift.map_or("own bins".to_owned(), |shift| format!("bins of 2^{shift}"));
+                bar.set_message(format!("{name}: {bins}, run {run} of {runs}"));
+                let mut set = Online::with(match shift {
+                    Some(shift) => Engine::with_bins(scenario.edge, shift),
+                    None => Engine::new(scenario.edge),
+                });
+                let started = Instant::now();
+                set.insert_all(&scenario.cubes);
+                let inserted = started.elapsed();
+                let found = set.engine.totals();
+                let started = Instant::now();
+                set.delete_all(&scenario.cubes);
+                let time = inserted + started.elapsed();
+                if found != expected || set.engine.totals() != Totals::default() {
+                    return Err(format!("{name}: {bins} give other totals"));
+                }
+                paces.push(time.as_secs_f64() * 1e6 / float(scenario.cubes.len() as u64));
+            }
+            Ok(median(paces))
+        };
+        let own = time(None)?;
+        let mut push = |side: Cell, pace: f64| {
+            table.push(vec![
+                text(scenario.name.as_str()),
+                Cell::Count(scenario.cubes.len() as u64),
+                side,
+                figure(pace),
+                figure(pace / own),
+            ]);
+        };
+        push(text("own"), own);
+        let mut points = Vec::new();
+        for shift in SHIFTS {
+            let side = f64::from(1_u32 << shift) / f64::from(scenario.edge.steps());
+            let pace = time(Some(shift))?;
+            push(text(format!("{side:.2}")), pace);
+            points.push([side, pace]);
+        }
+        lines.push(Line {
+            name: scenario.name.clone(),
+            points,
+            level: own,
+        });
+    }
+    let svg = Plot {
+        title: "Time against the side of the bins (dashed: the engine's own choice)".to_owned(),
+        x: Axis::of("side of a bin, in edges of a cube"),
+        y: Axis::of("microseconds to insert a cube and delete it"),
+        lines,
+    };
+    std::fs::write(plot, svg.svg()).map_err(input::about(plot))?;
+    Ok(table)
+}

@@ -1,0 +1,94 @@
+//! A real server: this executable as `serve`, in a process of its own, on a data directory on disk.
+
+use std::io::{BufRead, BufReader};
+use std::net::SocketAddr;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use super::link::Link;
+use crate::cli::bench::machine::{Resident, resident};
+
+type Failure = Box<dyn std::error::Error>;
+
+/// How long a server may take to replay what there is.
+const PATIENCE: Duration = Duration::from_mins(10);
+
+/// A server process; it ends when this is dropped.
+#[derive(Debug)]
+pub(super) struct Server {
+    process: Child,
+    pub(super) http: SocketAddr,
+    /// From the start of the process until it was ready.
+    pub(super) start: Duration,
+}
+
+impl Server {
+    /// Starts a server on a data directory and waits until it is ready.
+    pub(super) async fn start(data: &Path) -> Result<Self, Failure> {
+        let started = Instant::now();
+        let mut command = Command::new(std::env::current_exe()?);
+        command
+            .args([
+                "serve",
+                "--http",
+                "127.0.0.1:0",
+                "--grpc",
+                "127.0.0.1:0",
+                "--log-filter",
+                "warn,tower_http=off",
+            ])
+            .arg("--data")
+            .arg(data)
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped());
+        let mut process = command.spawn()?;
+        let output = process.stdout.take().expect("it is piped");
+        let mut greeting = String::new();
+        BufReader::new(output).read_line(&mut greeting)?;
+        let address = |name: &str| {
+            let mut words = greeting.split_whitespace();
+            words.find_map(|word| word.strip_prefix(name))
+        };
+        let http = address("http://").map(str::parse);
+        let Some(http) = http else {
+            process.kill()?;
+            let status = process.wait()?;
+            return Err(format!("the server did not start ({status}): {greeting:?}").into());
+        };
+        let mut server = Self {
+            process,
+            http: http?,
+            start: Duration::ZERO,
+        };
+        let mut link = Link::open(server.http).await?;
+        while !link.get("/readyz").await?.0.is_success() {
+            if started.elapsed() > PATIENCE {
+                return Err("the server is not ready after ten minutes".into());
+            }
+            tokio::time::sleep(Duration::from_millis(2)).await;
+        }
+        server.start = started.elapsed();
+        Ok(server)
+    }
+
+    /// Its resident memory.
+    pub(super) fn resident(&self) -> Resident {
+        resident(self.process.id())
+    }
+
+    /// Ends it without notice, as a crash does.
+    pub(super) fn kill(mut self) -> std::io::Result<()> {
+        self.process.kill()?;
+        self.process.wait()?;
+        Ok(())
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        // It may have ended already; there is nobody to tell otherwise.
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}

@@ -1,0 +1,184 @@
+//! Where the cubes of a program go: into an engine in this process, or to a server.
+
+use serde_json::Value;
+use serde_json::value::RawValue;
+use uuid::Uuid;
+
+use super::super::client::Client;
+use super::tally::Cut;
+use union3d::engine::Engine;
+use union3d::geometry::{CubeId, Effect, Place, Totals};
+use union3d::wire::convert::{self, Settings};
+
+/// One line of the program on its way, or a part of it.
+#[derive(Debug)]
+pub(super) struct Part {
+    pub(super) line: u64,
+    pub(super) rapid: bool,
+    /// Machine time, in seconds.
+    pub(super) duration: Option<f64>,
+    pub(super) places: Vec<Place>,
+}
+
+/// What a scene's totals say about material. Units: steps.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct State {
+    /// Volume removed from the stock, or of the union where there is none.
+    pub(super) removed: i128,
+    /// Area of the union.
+    pub(super) area: i128,
+}
+
+impl State {
+    /// From the API's mass properties; none when they are not that.
+    fn read(properties: &Value) -> Option<Self> {
+        let exact = |value: &Value| value["exact"]["volume"].as_str()?.parse().ok();
+        Some(Self {
+            removed: match &properties["removed"] {
+                Value::Null => exact(properties)?,
+                removed => exact(removed)?,
+            },
+            area: properties["exact"]["area"].as_str()?.parse().ok()?,
+        })
+    }
+
+    fn of(totals: &Totals) -> Self {
+        Self {
+            removed: match &totals.stock {
+                Some(stock) => stock.removed.volume,
+                None => totals.measures.volume,
+            },
+            area: totals.measures.area(),
+        }
+    }
+}
+
+impl Part {
+    pub(super) fn new(line: u64, rapid: bool) -> Self {
+        Self {
+            line,
+            rapid,
+            duration: None,
+            places: Vec::new(),
+        }
+    }
+
+    /// Makes it last longer.
+    pub(super) fn last(&mut self, seconds: Option<f64>) {
+        if let Some(seconds) = seconds {
+            self.duration = Some(self.duration.unwrap_or(0.0) + seconds);
+        }
+    }
+
+    /// What it did, from the states before and after it.
+    fn cut(&self, before: State, after: State) -> Cut {
+        Cut {
+            line: self.line,
+            rapid: self.rapid,
+            duration: self.duration,
+            cubes: self.places.len() as u64,
+            removed: after.removed - before.removed,
+            total_removed: after.removed,
+            area: after.area,
+        }
+    }
+}
+
+/// Where the cubes go.
+pub(super) enum Target {
+    Engine {
+        engine: Box<Engine>,
+        next_id: u64,
+    },
+    Http {
+        client: Client,
+        next_id: u64,
+        state: State,
+        /// Names this run in the keys of its changes.
+        run: Uuid,
+        changes: u64,
+    },
+}
+
+impl Target {
+    pub(super) fn engine(settings: &Settings) -> Self {
+        Self::Engine {
+            engine: Box::new(Engine::new(settings.edge()).with_stock(settings.stock())),
+            next_id: 1,
+        }
+    }
+
+    pub(super) async fn http(
+        client: Client,
+        largest_id: u64,
+    ) -> Result<Self, Box<dyn std::error::Error>> {
+        let properties = client.mass_properties().await?;
+        let state = state(&serde_json::from_str(properties.get())?)?;
+        Ok(Self::Http {
+            client,
+            next_id: largest_id + 1,
+            state,
+            run: Uuid::new_v4(),
+            changes: 0,
+        })
+    }
+
+    /// Sends a part on its way; answers what is done by now.
+    pub(super) async fn send(
+        &mut self,
+        part: Part,
+    ) -> Result<Vec<Cut>, Box<dyn std::error::Error>> {
+        match self {
+            Self::Engine { engine, next_id } => {
+                let before = State::of(&engine.totals());
+                let ids = (*next_id..).map(CubeId);
+                *next_id += part.places.len() as u64;
+                let effect = Effect {
+                    deleted: vec![],
+                    inserted: ids.zip(part.places.iter().copied()).collect(),
+                };
+                engine.apply(&effect)?;
+                let after = State::of(&engine.totals());
+                Ok(vec![part.cut(before, after)])
+            }
+            Self::Http {
+                client,
+                next_id,
+                state: last,
+                run,
+                changes,
+            } => {
+                *changes += 1;
+                let key = format!("{}-{changes}", run.simple());
+                let answer = client
+                    .move_and_measure(*next_id, &part.places, part.line, part.duration, &key)
+                    .await?;
+                *next_id += part.places.len() as u64;
+                let after = state(&answer)?;
+                let before = std::mem::replace(last, after);
+                Ok(vec![part.cut(before, after)])
+            }
+        }
+    }
+
+    /// Waits for all that is on its way, and reads what the scene measures then.
+    pub(super) async fn finish(
+        self,
+        settings: &Settings,
+    ) -> Result<(Vec<Cut>, Box<RawValue>), Box<dyn std::error::Error>> {
+        Ok(match self {
+            Self::Engine { engine, .. } => {
+                let totals = engine.totals();
+                let properties = convert::mass_properties(None, None, &totals, settings);
+                (vec![], serde_json::value::to_raw_value(&properties)?)
+            }
+            Self::Http { client, .. } => (vec![], client.mass_properties().await?),
+        })
+    }
+}
+
+fn state(properties: &Value) -> Result<State, String> {
+    State::read(properties).ok_or_else(|| {
+        "cannot make sense of the server's mass properties (is it of the same version?)".to_owned()
+    })
+}

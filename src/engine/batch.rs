@@ -1,0 +1,392 @@
+//! Many cubes at once: the same totals, with the work in an order that suits memory, and on several threads.
+//!
+//! What a set of cubes adds is the sum of what each adds to those *before* it, in any order of ranks. So a slice of the
+//! batch is put into the visible grid as a whole, and every cube is then evaluated against the grid alone, which nobody
+//! changes meanwhile. The rank of a cube is its bin and its place in the bin, so it needs no memory:
+//!
+//! ```text
+//!   bins in the order of their keys     A            B            C          evaluating cube 5 of bin B:
+//!   settled cubes, as before          0 1 2        0 1 2 3      0 1          all of A, 0 to 4 of B,
+//!   fresh cubes, of this slice        3 4 5 6      4 5 6        2 3          0 and 1 of C
+//! ```
+//!
+//! Deletions are the same backwards: the cubes that go are made the last ones of their bins, evaluated, and removed.
+//! Cubes that add nothing move to the hidden grid after their slice. That leaves the union as it is: each is covered by
+//! cubes before it, those of them that move too are covered by cubes before them, and so on.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use crate::geometry::{CubeId, Place};
+
+use super::bins::BinKey;
+use super::marginal::{Difference, Kernel, Span};
+use super::neighbours::Neighbours;
+use super::scan::prefetch;
+use super::{Engine, Grid};
+
+/// From so many cubes on, ordering them pays.
+pub(super) const BATCH_MIN: usize = 32;
+
+/// From so many cubes on, waking other threads pays: some milliseconds of work.
+const PARALLEL_MIN: usize = 1024;
+
+/// A slice is as large as what is visible already, so that in a crowd most of it is hidden without evaluation; but within
+/// these bounds. The greatest is what an index in the order can name.
+const SLICE_MIN: usize = 4096;
+const SLICE_MAX: usize = 1 << INDEX_BITS;
+const INDEX_BITS: u32 = 22;
+
+/// Bits of an axis in the order of bins.
+const AXIS_BITS: u32 = 14;
+const _: () = assert!(3 * AXIS_BITS + INDEX_BITS <= u64::BITS);
+
+/// Bins that a thread takes at a time.
+const BINS_AT_ONCE: usize = 16;
+
+/// Cubes ahead for which memory is asked for.
+pub(super) const AHEAD: usize = 8;
+
+/// What one thread needs to evaluate cubes.
+#[derive(Debug)]
+pub(super) struct Helper {
+    kernel: Kernel,
+    neighbours: Neighbours,
+    uncovered: Vec<Span>,
+}
+
+/// A part of a slice, in order.
+#[derive(Default)]
+struct Plan {
+    /// The order of the cubes by bins that lie near each other, each with its index in the slice.
+    order: Vec<u64>,
+    /// Indices of cubes known to be covered.
+    covered: Vec<usize>,
+}
+
+/// What evaluating some of the fresh cubes found.
+#[derive(Default)]
+struct Found {
+    /// The sum of the differences.
+    sum: Option<Difference>,
+    /// Fresh cubes that change nothing; those of one bin one after the other, in the order of their index.
+    covered: Vec<(BinKey, usize)>,
+    /// Cubes that go and leave something bare, with the number of boxes around that.
+    bare: Vec<(Place, usize)>,
+    boxes: Vec<Span>,
+}
+
+impl Engine {
+    /// Inserts cubes whose ids are in the table already.
+    pub(super) fn insert_batch(&mut self, cubes: &[(CubeId, Place)]) {
+        let mut rest = cubes;
+        while !rest.is_empty() {
+            let size = self.visible.len().clamp(SLICE_MIN, SLICE_MAX);
+            let (slice, after) = rest.split_at(size.min(rest.len()));
+            self.insert_slice(slice);
+            self.certificates.review(&self.visible, &self.hidden);
+            rest = after;
+        }
+    }
+
+    fn insert_slice(&mut self, cubes: &[(CubeId, Place)]) {
+        let plans = self.plan(cubes);
+        let mut touched = Vec::new();
+        for plan in &plans {
+            for (at, code) in plan.order.iter().enumerate() {
+                if let Some(code) = plan.order.get(at + 2 * AHEAD) {
+                    prefetch(cubes, index_of(*code));
+                }
+                if let Some(code) = plan.order.get(at + AHEAD) {
+                    self.visible.prefetch(cubes[index_of(*code)].1);
+                }
+                let (id, place) = cubes[index_of(*code)];
+                touched.extend(self.visible.insert_fresh(place, id));
+            }
+        }
+        let found = self.evaluate(&touched, cubes.len(), false);
+        for found in found {
+            if let Some(sum) = &found.sum {
+                self.add(sum);
+            }
+            // From the last one back: what takes the place of a removed one has been looked at.
+            for (key, index) in found.covered.into_iter().rev() {
+                let (place, id) = self.visible.remove_fresh(key, index);
+                self.hidden.insert(place, id);
+            }
+        }
+        for key in touched {
+            let Some(bin) = self.visible.bin(key) else {
+                continue;
+            };
+            if self.certificates.are_kept() {
+                for index in bin.len() - bin.fresh()..bin.len() {
+                    let place = Place::from_checked(bin.corner(index));
+                    self.certificates.certify(place);
+                }
+            }
+            self.visible.settle(key);
+        }
+        for plan in plans {
+            for index in plan.covered {
+                let (id, place) = cubes[index];
+                self.hidden.insert(place, id);
+            }
+        }
+        self.visible.review();
+    }
+
+    /// Deletes cubes whose ids are no longer in the table.
+    pub(super) fn delete_batch(&mut self, cubes: &[(CubeId, Place)]) {
+        for slice in cubes.chunks(SLICE_MAX) {
+            let visible: Vec<(CubeId, Place)> = if self.hidden.len() == 0 {
+                slice.to_vec()
+            } else {
+                let hidden = &mut self.hidden;
+                let shown = slice
+                    .iter()
+                    .filter(|(id, place)| !hidden.remove(*place, *id));
+                shown.copied().collect()
+            };
+            self.delete_slice(&visible);
+            self.certificates.review(&self.visible, &self.hidden);
+        }
+    }
+
+    /// Deletes visible cubes.
+    fn delete_slice(&mut self, cubes: &[(CubeId, Place)]) {
+        let mut touched = Vec::new();
+        let mut count = 0;
+        for plan in self.order(cubes) {
+            for (at, code) in plan.order.iter().enumerate() {
+                if let Some(code) = plan.order.get(at + 2 * AHEAD) {
+                    prefetch(cubes, index_of(*code));
+                }
+                if let Some(code) = plan.order.get(at + AHEAD) {
+                    self.visible.prefetch(cubes[index_of(*code)].1);
+                }
+                let (id, place) = cubes[index_of(*code)];
+                if !self.hand_over(id, place) {
+                    touched.extend(self.visible.make_fresh(place, id));
+                    count += 1;
+                }
+            }
+        }
+        let found = self.evaluate(&touched, count, self.hidden.len() > 0);
+        for key in touched {
+            self.visible.remove_all_fresh(key);
+        }
+        self.visible.review();
+        for found in &found {
+            if let Some(sum) = &found.sum {
+                self.retract(sum);
+            }
+            for bare in &found.boxes {
+                self.certificates.revoke(bare);
+            }
+        }
+        for found in found {
+            let mut boxes = found.boxes.as_slice();
+            for (place, count) in found.bare {
+                let (bare, after) = boxes.split_at(count);
+                self.work.uncovered.clear();
+                self.work.uncovered.extend_from_slice(bare);
+                self.promote(place);
+                boxes = after;
+            }
+        }
+    }
+
+    /// The order of cubes, without those that certificates cover.
+    fn plan(&mut self, cubes: &[(CubeId, Place)]) -> Vec<Plan> {
+        if !self.certificates.are_kept() {
+            return self.order(cubes);
+        }
+        let (codes, size) = (Codes::of(&self.visible, cubes), self.share(cubes.len()));
+        let certificates = &self.certificates;
+        in_parallel(
+            &mut self.helpers[..cubes.len().div_ceil(size)],
+            |number, _| {
+                let first = number * size;
+                let mut plan = Plan::default();
+                for (index, (_, place)) in cubes.iter().enumerate().skip(first).take(size) {
+                    if certificates.covers(*place) {
+                        plan.covered.push(index);
+                    } else {
+                        plan.order.push(codes.code(*place, index));
+                    }
+                }
+                plan.order.sort_unstable();
+                plan
+            },
+        )
+    }
+
+    /// The order of cubes.
+    fn order(&mut self, cubes: &[(CubeId, Place)]) -> Vec<Plan> {
+        let (codes, size) = (Codes::of(&self.visible, cubes), self.share(cubes.len()));
+        in_parallel(
+            &mut self.helpers[..cubes.len().div_ceil(size)],
+            |number, _| {
+                let part = cubes.iter().enumerate().skip(number * size).take(size);
+                let mut plan = Plan::default();
+                plan.order = part
+                    .map(|(index, (_, place))| codes.code(*place, index))
+                    .collect();
+                plan.order.sort_unstable();
+                plan
+            },
+        )
+    }
+
+    /// How many of so many cubes each thread takes, and as many helpers as there are shares.
+    fn share(&mut self, count: usize) -> usize {
+        let threads = if count < PARALLEL_MIN {
+            1
+        } else {
+            self.threads
+        };
+        while self.helpers.len() < threads {
+            self.helpers.push(Helper {
+                kernel: self.kernel.clone(),
+                neighbours: Neighbours::new(),
+                uncovered: Vec::new(),
+            });
+        }
+        count.div_ceil(threads).max(1)
+    }
+
+    /// Evaluates the fresh cubes, `count` in all, of the bins that have any; with the boxes around what they would leave
+    /// bare when asked to.
+    fn evaluate(&mut self, touched: &[BinKey], count: usize, boxes: bool) -> Vec<Found> {
+        let size = self.share(count);
+        let visible = &self.visible;
+        let next = AtomicUsize::new(0);
+        in_parallel(&mut self.helpers[..count.div_ceil(size)], |_, helper| {
+            let mut found = Found::default();
+            loop {
+                let first = next.fetch_add(BINS_AT_ONCE, Ordering::Relaxed);
+                let Some(rest) = touched.get(first..).filter(|rest| !rest.is_empty()) else {
+                    return found;
+                };
+                for key in rest.iter().take(BINS_AT_ONCE) {
+                    found.add_bin(visible, *key, helper, boxes);
+                }
+            }
+        })
+    }
+}
+
+impl Found {
+    fn add_bin(&mut self, visible: &Grid, key: BinKey, helper: &mut Helper, boxes: bool) {
+        let bin = visible.bin(key).expect("a touched bin has fresh cubes");
+        for index in bin.len() - bin.fresh()..bin.len() {
+            let place = Place::from_checked(bin.corner(index));
+            visible.gather_before(key, index, place.corner(), &mut helper.neighbours);
+            let difference = if boxes {
+                let (neighbours, uncovered) = (&helper.neighbours, &mut helper.uncovered);
+                helper.kernel.uncovered(place, neighbours, uncovered)
+            } else {
+                helper.kernel.marginal(place, &helper.neighbours)
+            };
+            let Some(difference) = difference else {
+                self.covered.push((key, index));
+                continue;
+            };
+            match &mut self.sum {
+                None => self.sum = Some(difference),
+                Some(sum) => sum.add(&difference),
+            }
+            if boxes {
+                self.bare.push((place, helper.uncovered.len()));
+                self.boxes.extend_from_slice(&helper.uncovered);
+            }
+        }
+    }
+}
+
+impl Difference {
+    fn add(&mut self, other: &Self) {
+        self.union.add(&other.union);
+        for (sum, part) in self.stock.iter_mut().zip(&other.stock) {
+            sum.add(part);
+        }
+    }
+}
+
+/// Runs a task once for each helper, the first on this thread, the others each on one of its own.
+///
+/// The threads are started for the task: some tens of microseconds, against a pool in which it would wait for the million
+/// cubes of another scene.
+fn in_parallel<T: Send>(
+    helpers: &mut [Helper],
+    task: impl Fn(usize, &mut Helper) -> T + Sync,
+) -> Vec<T> {
+    let Some((own, others)) = helpers.split_first_mut() else {
+        return Vec::new();
+    };
+    std::thread::scope(|scope| {
+        let task = &task;
+        let others: Vec<_> = others
+            .iter_mut()
+            .zip(1..)
+            .map(|(helper, number)| scope.spawn(move || task(number, helper)))
+            .collect();
+        let mut results = vec![task(0, own)];
+        for other in others {
+            results.push(other.join().expect("a task that fails ends the change"));
+        }
+        results
+    })
+}
+
+/// Numbers that put cubes in the order of a curve through the bins (Morton's), so that neighbours come near each other.
+struct Codes {
+    shift: u32,
+    least: [i32; 3],
+}
+
+impl Codes {
+    fn of(grid: &Grid, cubes: &[(CubeId, Place)]) -> Self {
+        let (mut least, mut greatest) = ([i32::MAX; 3], [i32::MIN; 3]);
+        for (_, place) in cubes {
+            for axis in 0..3 {
+                least[axis] = least[axis].min(place.corner()[axis]);
+                greatest[axis] = greatest[axis].max(place.corner()[axis]);
+            }
+        }
+        let mut shift = grid.shift();
+        let layers = |shift: u32| {
+            (0..3).map(move |axis| (greatest[axis] >> shift).abs_diff(least[axis] >> shift))
+        };
+        while !cubes.is_empty() && layers(shift).any(|layers| layers >> AXIS_BITS > 0) {
+            shift += 1;
+        }
+        Self {
+            shift,
+            least: least.map(|least| least >> shift),
+        }
+    }
+
+    fn code(&self, place: Place, index: usize) -> u64 {
+        let mut code = 0;
+        for (axis, coordinate) in place.corner().into_iter().enumerate() {
+            let layer = (coordinate >> self.shift).abs_diff(self.least[axis]);
+            code |= spread(layer.into()) << axis;
+        }
+        code << INDEX_BITS | index as u64
+    }
+}
+
+fn index_of(code: u64) -> usize {
+    let index = code & ((1 << INDEX_BITS) - 1);
+    usize::try_from(index).expect("it has few bits")
+}
+
+/// Two zeros between one bit and the next, for 21 bits.
+fn spread(bits: u64) -> u64 {
+    let bits = (bits | bits << 32) & 0x001f_0000_0000_ffff;
+    let bits = (bits | bits << 16) & 0x001f_0000_ff00_00ff;
+    let bits = (bits | bits << 8) & 0x100f_00f0_0f00_f00f;
+    let bits = (bits | bits << 4) & 0x10c3_0c30_c30c_30c3;
+    (bits | bits << 2) & 0x1249_2492_4924_9249
+}
