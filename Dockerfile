@@ -13,8 +13,8 @@ COPY --from=build /union3d/target/release/union3d /usr/local/bin/union3d
 COPY --from=build --chown=65532:65532 /data /data
 USER 65532:65532
 VOLUME /data
-EXPOSE 7373
+EXPOSE 7373 7374
 STOPSIGNAL SIGTERM
 # Inside a container loopback is the container's own: listen on every address and let the published ports decide.
 ENTRYPOINT ["/usr/local/bin/union3d"]
-CMD ["serve", "--http", "0.0.0.0:7373", "--data", "/data"]
+CMD ["serve", "--http", "0.0.0.0:7373", "--grpc", "0.0.0.0:7374", "--data", "/data"]

@@ -28,6 +28,8 @@ pub enum LogFormat {
 pub struct ServeConfig {
     /// Address that HTTP listens on; port 0 picks a free one.
     pub http: SocketAddr,
+    /// Address that gRPC listens on; port 0 picks a free one.
+    pub grpc: SocketAddr,
     /// Data directory.
     pub data: PathBuf,
     /// Changes that may wait in one scene's queue; more are answered 429.
@@ -61,10 +63,14 @@ pub struct ServeConfig {
 /// What the command line sets; what it leaves out comes from elsewhere.
 #[derive(Clone, PartialEq, Eq, Debug, Default, Serialize, clap::Args)]
 pub struct ServeFlags {
-    /// Address to listen on; port 0 picks a free one [default: 127.0.0.1:7373]
+    /// Address that HTTP listens on; port 0 picks a free one [default: 127.0.0.1:7373]
     #[arg(long, value_name = "ADDRESS")]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub http: Option<SocketAddr>,
+    /// Address that gRPC listens on; port 0 picks a free one [default: 127.0.0.1:7374]
+    #[arg(long, value_name = "ADDRESS")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub grpc: Option<SocketAddr>,
     /// Data directory; created when it is not there [default: union3d-data]
     #[arg(long, value_name = "DIRECTORY")]
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -138,6 +144,7 @@ impl Default for ServeConfig {
         }
         Self {
             http: SocketAddr::from(([127, 0, 0, 1], 7373)),
+            grpc: SocketAddr::from(([127, 0, 0, 1], 7374)),
             data: "union3d-data".into(),
             queue_changes_max: count(1024),
             group_operations_max: count(65_536),

@@ -45,6 +45,7 @@ fn it_mills_what_mill_mills() {
     let shown = demo(&["--http", "127.0.0.1:0", "--data", data.to_str().unwrap()]);
     assert_eq!(rows(&shown), rows(&milled));
     assert!(shown.contains("serving http://127.0.0.1:"), "{shown}");
+    assert!(shown.contains(" grpc://127.0.0.1:"), "{shown}");
     assert!(shown.contains("curl http://127.0.0.1:"), "{shown}");
     assert!(shown.contains("/v1/scenes/demo/mass-properties"), "{shown}");
     // On the kept data the same plate again is no change.

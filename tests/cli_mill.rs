@@ -432,6 +432,8 @@ impl Server {
                 "serve",
                 "--http",
                 "127.0.0.1:0",
+                "--grpc",
+                "127.0.0.1:0",
                 "--log-filter",
                 "error",
                 "--data",
@@ -444,11 +446,8 @@ impl Server {
         BufReader::new(child.stdout.take().expect("piped"))
             .read_line(&mut line)
             .unwrap();
-        let url = line
-            .trim()
-            .strip_prefix("listening ")
-            .expect("the address")
-            .to_owned();
+        let mut words = line.split_whitespace();
+        let url = words.nth(1).expect("the address").to_owned();
         Self { child, url }
     }
 }

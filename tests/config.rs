@@ -26,6 +26,7 @@ fn nothing_set_gives_the_defaults() {
         Ok(ServeConfig::default())
     );
     assert_eq!(none.http.to_string(), "127.0.0.1:7373");
+    assert_eq!(none.grpc.to_string(), "127.0.0.1:7374");
 }
 
 #[test]

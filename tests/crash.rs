@@ -43,6 +43,8 @@ impl Server {
                 "serve",
                 "--http",
                 "127.0.0.1:0",
+                "--grpc",
+                "127.0.0.1:0",
                 "--log-filter",
                 "warn,tower_http=off",
                 "--data",
@@ -54,11 +56,7 @@ impl Server {
         let mut line = String::new();
         let stdout = process.stdout.take().unwrap();
         BufReader::new(stdout).read_line(&mut line).unwrap();
-        let url = line
-            .trim()
-            .strip_prefix("listening ")
-            .expect(&line)
-            .to_owned();
+        let url = line.split_whitespace().nth(1).expect(&line).to_owned();
         Self { process, url }
     }
 
@@ -382,7 +380,15 @@ async fn a_second_server_on_the_same_data_is_refused_and_so_is_an_audit() {
     };
     let path = data.to_str().unwrap();
     for arguments in [
-        &["serve", "--http", "127.0.0.1:0", "--data", path][..],
+        &[
+            "serve",
+            "--http",
+            "127.0.0.1:0",
+            "--grpc",
+            "127.0.0.1:0",
+            "--data",
+            path,
+        ][..],
         &["audit", path],
     ] {
         let output = run(arguments);

@@ -19,6 +19,7 @@ use union3d::geometry::Place;
 use union3d::service::{Readiness, Service};
 use union3d::toolpath::{Event, Motion, Moves};
 use union3d::wire::convert::{Anchor, Settings, WantedSettings};
+use union3d::wire::grpc;
 use union3d::wire::http::{self, Limits};
 
 /// The program that is milled.
@@ -42,9 +43,12 @@ public HTTP API, prints the totals as they change, then the mass properties and 
 The data goes to a temporary directory, gone afterwards, unless --data says where to keep it."
 )]
 pub(crate) struct Args {
-    /// Address to listen on; port 0 picks a free one [default: 127.0.0.1:7373, or a free port when that is taken]
+    /// Address that HTTP listens on; port 0 picks a free one [default: 127.0.0.1:7373, or a free port when that is taken]
     #[arg(long, value_name = "ADDRESS")]
     http: Option<SocketAddr>,
+    /// Address that gRPC listens on; port 0 picks a free one [default: 127.0.0.1:7374, or a free port when that is taken]
+    #[arg(long, value_name = "ADDRESS")]
+    grpc: Option<SocketAddr>,
     /// Data directory, kept afterwards [default: a temporary one]
     #[arg(long, value_name = "DIRECTORY")]
     data: Option<PathBuf>,
@@ -74,17 +78,24 @@ pub(crate) fn run(args: Args) -> Outcome {
 }
 
 async fn demo(args: Args, config: &ServeConfig) -> Result<(), Box<dyn std::error::Error>> {
-    let listener = listen(args.http, config.http).await?;
+    let listener = listen(args.http, config.http, "--http").await?;
+    let grpc_listener = listen(args.grpc, config.grpc, "--grpc").await?;
     let url = format!("http://{}", listener.local_addr()?);
+    let grpc_address = grpc_listener.local_addr()?;
     let service = Service::start(config.service())?;
     let stop = CancellationToken::new();
     let router = http::router(service.clone(), Limits::default());
-    let server =
-        axum::serve(listener, router).with_graceful_shutdown(stop.clone().cancelled_owned());
-    let server = tokio::spawn(server.into_future());
+    let http = axum::serve(listener, router).with_graceful_shutdown(stop.clone().cancelled_owned());
+    let grpc = grpc::serve(
+        grpc_listener,
+        service.clone(),
+        Limits::default(),
+        stop.clone(),
+    );
+    let server = tokio::spawn(async { tokio::join!(http, grpc) });
     writeln!(
         std::io::stdout(),
-        "serving {url} (data in {})",
+        "serving {url} grpc://{grpc_address} (data in {})",
         config.data.display()
     )?;
     while let Readiness::Recovering { .. } = service.readiness() {
@@ -119,7 +130,11 @@ async fn signalled() -> std::io::Result<()> {
 }
 
 /// The address that was asked for, or the usual one, or when somebody has that, a free one.
-async fn listen(asked: Option<SocketAddr>, usual: SocketAddr) -> Result<TcpListener, String> {
+async fn listen(
+    asked: Option<SocketAddr>,
+    usual: SocketAddr,
+    flag: &str,
+) -> Result<TcpListener, String> {
     let address = asked.unwrap_or(usual);
     match TcpListener::bind(address).await {
         Err(error) if error.kind() == ErrorKind::AddrInUse && asked.is_none() => {
@@ -130,7 +145,7 @@ async fn listen(asked: Option<SocketAddr>, usual: SocketAddr) -> Result<TcpListe
                 .map_err(|error| format!("cannot listen on {free}: {error}"))
         }
         Err(error) => Err(format!(
-            "cannot listen on {address}: {error} (--http takes another address)"
+            "cannot listen on {address}: {error} ({flag} takes another address)"
         )),
         Ok(listener) => Ok(listener),
     }

@@ -10,9 +10,11 @@ use axum::serve::ListenerExt;
 use indicatif::{ProgressBar, ProgressStyle};
 use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
+use tokio_util::sync::CancellationToken;
 use tracing_subscriber::EnvFilter;
 use union3d::config::{LogFormat, ServeConfig, ServeFlags};
 use union3d::service::{Readiness, Service};
+use union3d::wire::grpc;
 use union3d::wire::http::{Limits, install_metrics, router};
 
 use super::Outcome;
@@ -25,7 +27,7 @@ const CLOSE: Duration = Duration::from_secs(5);
 
 /// Run the server
 ///
-/// Prints one line, `listening http://ADDRESS`, on standard output once it listens, and logs to standard error. Scenes that are
+/// Prints one line, `listening http://ADDRESS grpc://ADDRESS`, on standard output once it listens, and logs to standard error. Scenes that are
 /// there already are replayed in the background: GET /readyz is 503 until that is done. Ctrl-C (SIGINT) or SIGTERM drains what
 /// waits and stops; a second one stops at once, which loses nothing that was acknowledged.
 ///
@@ -46,18 +48,22 @@ pub(crate) fn run(args: Args) -> Outcome {
     let config = ServeConfig::load(config.as_deref(), &flags)?;
     start_log(&config)?;
     let runtime = tokio::runtime::Runtime::new()?;
-    runtime.block_on(serve(&config, |address| {
+    runtime.block_on(serve(&config, |http, grpc| {
         let mut out = std::io::stdout();
-        let told = writeln!(out, "listening http://{address}").and_then(|()| out.flush());
+        let told =
+            writeln!(out, "listening http://{http} grpc://{grpc}").and_then(|()| out.flush());
         if let Err(error) = told {
             // Who started it does not read; it serves all the same.
-            tracing::warn!("cannot print the address: {error}");
+            tracing::warn!("cannot print the addresses: {error}");
         }
     }))
 }
 
-/// Serves until a signal; `ready` is called once the socket accepts.
-pub(crate) async fn serve(config: &ServeConfig, ready: impl FnOnce(SocketAddr)) -> Outcome {
+/// Serves until a signal; `ready` is called with the addresses of HTTP and gRPC once the sockets accept.
+pub(crate) async fn serve(
+    config: &ServeConfig,
+    ready: impl FnOnce(SocketAddr, SocketAddr),
+) -> Outcome {
     let mut interrupt = signal(SignalKind::interrupt())?;
     let mut terminate = signal(SignalKind::terminate())?;
     let mut stop = async || {
@@ -66,13 +72,9 @@ pub(crate) async fn serve(config: &ServeConfig, ready: impl FnOnce(SocketAddr)) 
             _ = terminate.recv() => "SIGTERM",
         }
     };
-    let listener = TcpListener::bind(config.http).await.map_err(|error| {
-        format!(
-            "cannot listen on {}: {error}; choose another address with --http",
-            config.http
-        )
-    })?;
-    let address = listener.local_addr()?;
+    let listener = listen(config.http, "--http").await?;
+    let grpc_listener = listen(config.grpc, "--grpc").await?;
+    let (address, grpc_address) = (listener.local_addr()?, grpc_listener.local_addr()?);
     // First, so that what the start counts is counted.
     install_metrics();
     let service = Service::start(config.service())?;
@@ -88,13 +90,17 @@ pub(crate) async fn serve(config: &ServeConfig, ready: impl FnOnce(SocketAddr)) 
             tracing::debug!("cannot set TCP_NODELAY: {error}");
         }
     });
-    let (drain, drained) = tokio::sync::oneshot::channel::<()>();
-    let server =
-        axum::serve(listener, router(service.clone(), limits)).with_graceful_shutdown(async {
-            let _sent = drained.await;
-        });
-    let mut server = tokio::spawn(server.into_future());
-    ready(address);
+    let draining = CancellationToken::new();
+    let http = axum::serve(listener, router(service.clone(), limits))
+        .with_graceful_shutdown(draining.clone().cancelled_owned());
+    let grpc = grpc::serve(grpc_listener, service.clone(), limits, draining.clone());
+    // Both or none: half a server would hide that the other half is gone.
+    let mut server = tokio::spawn(async {
+        let http = async { http.await.map_err(|error| format!("HTTP: {error}")) };
+        let grpc = async { grpc.await.map_err(|error| format!("gRPC: {error}")) };
+        tokio::try_join!(http, grpc)
+    });
+    ready(address, grpc_address);
     let watcher = tokio::spawn(show_recovery(service.clone()));
 
     let cause = tokio::select! {
@@ -103,7 +109,7 @@ pub(crate) async fn serve(config: &ServeConfig, ready: impl FnOnce(SocketAddr)) 
     };
     tracing::info!("{cause}: draining; once more to stop at once");
     watcher.abort();
-    let _ended = drain.send(());
+    draining.cancel();
     let end = async {
         // What is under way may finish; then changes are refused, which ends the streams, and what waits is done.
         let over = tokio::time::timeout(GRACE, &mut server).await.is_ok();
@@ -121,6 +127,12 @@ pub(crate) async fn serve(config: &ServeConfig, ready: impl FnOnce(SocketAddr)) 
         }
     }
     Ok(ExitCode::SUCCESS)
+}
+
+async fn listen(address: SocketAddr, flag: &str) -> Result<TcpListener, String> {
+    TcpListener::bind(address).await.map_err(|error| {
+        format!("cannot listen on {address}: {error}; choose another address with {flag}")
+    })
 }
 
 /// Logs to standard error, as configured.

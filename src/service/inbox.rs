@@ -6,17 +6,23 @@ use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 use parking_lot::{Condvar, Mutex};
-use tokio::sync::oneshot;
+use tokio::sync::{Notify, futures::Notified, oneshot};
 
 use super::writer::View;
-use super::{Applied, Operations, ServiceError, Submission, meters};
+use super::{Applied, Chain, Operations, ServiceError, Submission, meters};
 
 /// Operations that may wait in one queue, whatever the number of changes: bounds its memory (some hundred megabytes).
 /// A single larger change still fits an empty queue.
 const QUEUE_OPERATIONS_MAX: usize = 1 << 24;
 
 /// Where the answer to a change goes.
-pub(super) type Reply = oneshot::Sender<Result<Applied, ServiceError>>;
+#[derive(Debug)]
+pub(super) struct Reply {
+    /// None once it was answered.
+    sender: Option<oneshot::Sender<Result<Applied, ServiceError>>>,
+    /// What the change stands in.
+    chain: Option<Chain>,
+}
 
 /// A change that waits, and who waits for it.
 #[derive(Debug)]
@@ -66,6 +72,8 @@ pub(super) struct Work {
 pub(super) struct Inbox {
     state: Mutex<State>,
     wake: Condvar,
+    /// Told when a full queue may have room, and when it is closed.
+    room: Notify,
 }
 
 #[derive(Default)]
@@ -91,18 +99,70 @@ impl Submission {
     }
 }
 
+/// What waits for an answer.
+pub(super) type Answer = oneshot::Receiver<Result<Applied, ServiceError>>;
+
+impl Pending {
+    /// A change on its way, and what waits for its answer.
+    pub(super) fn new(submission: Submission, chain: Option<Chain>) -> (Box<Self>, Answer) {
+        let (sender, answer) = oneshot::channel();
+        let reply = Reply {
+            sender: Some(sender),
+            chain,
+        };
+        (Box::new(Self { submission, reply }), answer)
+    }
+}
+
+impl Reply {
+    /// Answers, if there is still somebody to be answered. A refusal breaks the chain.
+    pub(super) fn send(mut self, answer: Result<Applied, ServiceError>) {
+        self.judged(&answer);
+        if let Some(sender) = self.sender.take() {
+            let _gone = sender.send(answer);
+        }
+    }
+
+    /// Notes what the answer will be, before it may be given: what follows in the chain is judged next.
+    pub(super) fn judged(&self, answer: &Result<Applied, ServiceError>) {
+        if let (Err(_), Some(chain)) = (answer, &self.chain) {
+            chain.break_off();
+        }
+    }
+
+    /// Whether a change before it in its chain was refused.
+    pub(super) fn is_abandoned(&self) -> bool {
+        self.chain.as_ref().is_some_and(Chain::is_broken)
+    }
+}
+
+impl Drop for Reply {
+    fn drop(&mut self) {
+        // Lost in a panic, and so not applied.
+        if let (Some(_), Some(chain)) = (&self.sender, &self.chain) {
+            chain.break_off();
+        }
+    }
+}
+
 impl Inbox {
-    /// Queues a change.
-    pub(super) fn submit(&self, pending: Pending, changes_max: usize) -> Result<(), Shut> {
+    /// Queues a change, or gives it back.
+    pub(super) fn submit(
+        &self,
+        pending: Box<Pending>,
+        changes_max: usize,
+    ) -> Result<(), (Shut, Box<Pending>)> {
         let mut state = self.state.lock();
-        state.check()?;
+        if let Err(shut) = state.check() {
+            return Err((shut, pending));
+        }
         let operations = state.operations + pending.submission.operations();
         let waiting = state.changes.len();
         if waiting >= changes_max || (waiting > 0 && operations > QUEUE_OPERATIONS_MAX) {
-            return Err(Shut::Full { waiting });
+            return Err((Shut::Full { waiting }, pending));
         }
         state.operations = operations;
-        state.changes.push_back(pending);
+        state.changes.push_back(*pending);
         drop(state);
         meters::queued(1);
         self.wake.notify_all();
@@ -121,6 +181,11 @@ impl Inbox {
         Ok(())
     }
 
+    /// Ready when a queue that is full now may have room, or is closed.
+    pub(super) fn room(&self) -> Notified<'_> {
+        self.room.notified()
+    }
+
     /// Lets changes and questions in, unless the scene has ended.
     pub(super) fn open(&self) {
         self.state.lock().open = true;
@@ -133,6 +198,8 @@ impl Inbox {
         state.questions.clear();
         state.operations = 0;
         let changes = std::mem::take(&mut state.changes);
+        drop(state);
+        self.room.notify_waiters();
         meters::dequeued(changes.len());
         changes
     }
@@ -145,6 +212,7 @@ impl Inbox {
         }
         drop(state);
         self.wake.notify_all();
+        self.room.notify_waiters();
     }
 
     /// The end that was announced, if any.
@@ -181,6 +249,7 @@ impl Inbox {
             group.extend(state.changes.pop_front());
         }
         drop(state);
+        self.room.notify_waiters();
         meters::dequeued(group.len());
         Some(Work { questions, group })
     }

@@ -21,6 +21,7 @@ mod writer;
 
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use crate::engine::{Counts, Op, Rejected};
@@ -109,6 +110,10 @@ pub struct Submission {
     /// Idempotency key and SHA-256 of the body.
     pub key: Option<(Box<str>, [u8; 32])>,
 }
+
+/// Changes of one stream: after one that was not applied none is, also not those that were queued already.
+#[derive(Clone, Debug, Default)]
+pub struct Chain(Arc<AtomicBool>);
 
 /// A change that is durable (or changed nothing).
 #[derive(Clone, Debug)]
@@ -238,6 +243,9 @@ pub enum ServiceError {
         /// Oldest there is.
         oldest: Seq,
     },
+    /// A change before it in its chain was not applied.
+    #[error("a change before it in its stream was not applied")]
+    Abandoned,
     /// The service is shutting down.
     #[error("the service is shutting down")]
     ShuttingDown,
@@ -294,6 +302,18 @@ impl ServiceConfig {
             revert_bytes_max: 1 << 30,
             probe_interval: Duration::from_secs(1),
         }
+    }
+}
+
+impl Chain {
+    /// Whether a change of it was not applied.
+    pub fn is_broken(&self) -> bool {
+        self.0.load(Ordering::Acquire)
+    }
+
+    /// Keeps the changes that come after from being applied.
+    fn break_off(&self) {
+        self.0.store(true, Ordering::Release);
     }
 }
 

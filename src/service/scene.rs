@@ -6,6 +6,7 @@
 //! ```
 
 use std::path::PathBuf;
+use std::pin::pin;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::thread::JoinHandle;
@@ -19,8 +20,8 @@ use super::inbox::{End, Inbox, Pending, Shut};
 use super::recover::Gate;
 use super::writer::{View, too_many};
 use super::{
-    Applied, Audit, CHANGE_OPERATIONS_MAX, FaultHook, HistoryRow, Published, SceneName, SceneState,
-    Seq, ServiceConfig, ServiceError, Submission, meters,
+    Applied, Audit, CHANGE_OPERATIONS_MAX, Chain, FaultHook, HistoryRow, Published, SceneName,
+    SceneState, Seq, ServiceConfig, ServiceError, Submission, meters,
 };
 use crate::engine::{Cursor, Side, recount};
 use crate::geometry::{CubeId, Edge, Place, Stock};
@@ -160,14 +161,44 @@ impl Scene {
         if operations > CHANGE_OPERATIONS_MAX {
             return Err(too_many(operations));
         }
-        let (reply, answer) = oneshot::channel();
+        let (pending, answer) = Pending::new(submission, None);
         self.inbox
-            .submit(
-                Pending { submission, reply },
-                self.setup.config.queue_changes_max,
-            )
-            .map_err(|shut| self.refusal_of(shut))?;
+            .submit(pending, self.setup.config.queue_changes_max)
+            .map_err(|(shut, _)| self.refusal_of(shut))?;
         answer.await.unwrap_or_else(|_| Err(self.refusal()))
+    }
+
+    /// Queues the next change of a stream, and waits for room while the queue is full. What this gives waits until the change is
+    /// durable; changes queued one after the other are judged in that order.
+    /// # Errors
+    /// As of [`Self::change`], but never [`ServiceError::QueueFull`]. [`ServiceError::Abandoned`] when the chain is broken.
+    pub async fn submit(
+        self: &Arc<Self>,
+        submission: Submission,
+        chain: Option<Chain>,
+    ) -> Result<impl Future<Output = Result<Applied, ServiceError>> + Send + use<>, ServiceError>
+    {
+        let operations = submission.operations();
+        if operations > CHANGE_OPERATIONS_MAX {
+            return Err(too_many(operations));
+        }
+        let (mut pending, answer) = Pending::new(submission, chain);
+        loop {
+            // Before the try: room that comes right after it is not missed.
+            let mut room = pin!(self.inbox.room());
+            room.as_mut().enable();
+            match self
+                .inbox
+                .submit(pending, self.setup.config.queue_changes_max)
+            {
+                Ok(()) => break,
+                Err((Shut::Full { .. }, back)) => pending = back,
+                Err((shut, _)) => return Err(self.refusal_of(shut)),
+            }
+            room.await;
+        }
+        let this = Arc::clone(self);
+        Ok(async move { answer.await.unwrap_or_else(|_| Err(this.refusal())) })
     }
 
     /// Newest totals now and whenever they change; a slow reader skips to the newest. None once the scene is dropped or stopped.
@@ -459,7 +490,7 @@ impl Scene {
     /// Closes the inbox and answers what waits in it.
     pub(super) fn refuse_waiting(&self, refusal: &ServiceError) {
         for pending in self.inbox.close() {
-            let _gone = pending.reply.send(Err(refusal.clone()));
+            pending.reply.send(Err(refusal.clone()));
         }
     }
 }

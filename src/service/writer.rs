@@ -95,7 +95,7 @@ pub(super) fn run(scene: &Scene, mut live: Option<Live>) {
         // After the condition: who hears of the failure and looks again must not see the scene running.
         let refusal = unacknowledged(&error);
         for reply in unanswered {
-            let _gone = reply.send(Err(refusal.clone()));
+            reply.send(Err(refusal.clone()));
         }
         let ended = || scene.inbox.wait_end(scene.setup.config.probe_interval);
         if !comes_back || ended().is_some() {
@@ -240,7 +240,7 @@ impl Live {
             .into_iter()
             .map(|pending| (pending.submission, pending.reply))
             .unzip();
-        match self.judge_and_append(scene, submissions) {
+        match self.judge_and_append(scene, submissions, &replies) {
             Ok((group, answers)) => {
                 if let Some(newest) = group.newest() {
                     meters::committed(start.elapsed());
@@ -249,7 +249,7 @@ impl Live {
                     self.feed.publish(&newest);
                 }
                 for (reply, answer) in replies.into_iter().zip(answers) {
-                    let _gone = reply.send(answer);
+                    reply.send(answer);
                 }
                 Ok(())
             }
@@ -264,11 +264,18 @@ impl Live {
         &mut self,
         scene: &Scene,
         submissions: Vec<Submission>,
+        replies: &[Reply],
     ) -> Result<(Group, Vec<Answered>), LogError> {
         let mut group = Group::default();
         let mut answers = Vec::with_capacity(submissions.len());
-        for submission in submissions {
-            answers.push(self.judge_once(&mut group, submission)?);
+        for (submission, reply) in submissions.into_iter().zip(replies) {
+            let answer = if reply.is_abandoned() {
+                Err(ServiceError::Abandoned)
+            } else {
+                self.judge_once(&mut group, submission)?
+            };
+            reply.judged(&answer);
+            answers.push(answer);
         }
         if !group.is_empty() {
             inject(scene, FaultStep::Append)?;

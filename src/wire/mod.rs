@@ -1,23 +1,31 @@
-//! The outside world: HTTP in, lattice steps out, and back.
+//! The outside world: HTTP and gRPC in, lattice steps out, and back.
 //!
 //! ```text
-//!   request ── http ── decode ── convert ── Submission ──> service
-//!   answer  <─ http ── convert ─────────── Published <──── service
-//!              every failure on the way ── problem (RFC 9457)
+//!   request ── http ─┬─ decode ── convert ── calls, atomic ──> service
+//!              grpc ─┘
+//!   answer  <─ http, grpc ── convert ─────── Published <────── service
+//!              every failure on the way ── problem (RFC 9457), with gRPC as a status
 //! ```
-//! Knows HTTP, JSON, protobuf and user units. Never keeps state of a scene, and never touches its files.
+//! Knows HTTP, gRPC, JSON, protobuf and user units. Never keeps state of a scene, and never touches its files.
 
+mod atomic;
+mod calls;
 pub mod convert;
 pub mod decode;
+pub mod grpc;
 pub mod http;
 mod openapi;
 pub mod problem;
 
-/// Messages generated from `proto/union3d/v1/union3d.proto`.
+/// Messages, server and client generated from `proto/union3d/v1/*.proto`.
 #[expect(
     missing_docs,
-    reason = "generated; the documentation is in the proto file"
+    clippy::pedantic,
+    reason = "generated; the documentation is in the proto files"
 )]
 pub mod proto {
     include!(concat!(env!("OUT_DIR"), "/union3d.v1.rs"));
+
+    /// What the files say, as reflection tells it: an encoded `google.protobuf.FileDescriptorSet`.
+    pub const FILE_DESCRIPTOR_SET: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/union3d.bin"));
 }

@@ -305,6 +305,21 @@ impl Problem {
     pub fn code(&self) -> Code {
         self.0.code
     }
+
+    /// What is particular to this occurrence.
+    pub fn detail(&self) -> &str {
+        &self.0.detail
+    }
+
+    /// What is wrong in the request, place by place.
+    pub fn faults(&self) -> &[Fault] {
+        &self.0.faults
+    }
+
+    /// Extension members.
+    pub fn members(&self) -> &Map<String, Value> {
+        &self.0.members
+    }
 }
 
 impl From<ServiceError> for Problem {
@@ -346,6 +361,8 @@ impl From<ServiceError> for Problem {
             ServiceError::SeqNotReached { newest, .. } => {
                 problem(Code::SeqNotReached).with("newest", newest.0)
             }
+            // Never shown: a stream ends with the refusal that broke its chain.
+            ServiceError::Abandoned => problem(Code::Internal),
             ServiceError::ShuttingDown => problem(Code::ShuttingDown),
             ServiceError::Storage { cause, full } => problem(if full {
                 Code::DiskFull

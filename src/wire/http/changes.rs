@@ -1,29 +1,23 @@
 //! Changes: atomic ones (JSON, protobuf) here, streams in `ndjson`.
 
-use std::sync::Arc;
-
 use axum::Json;
 use axum::body::Body;
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderName, HeaderValue};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
-use sha2::{Digest, Sha256};
 use utoipa::ToSchema;
 
-use super::request::{self, BodyType, Parameters, Path, Whole, body_type, idempotency_key, within};
+use super::request::{self, BodyType, Parameters, Path, body_type, idempotency_key};
 use super::{App, ndjson, scenes};
-use crate::engine::{Counts, Op, Rejected};
+use crate::engine::{Counts, Op};
 use crate::geometry::CubeId;
-use crate::service::{
-    Applied, Counting, Motion, Operations, Published, Scene, ServiceError, Submission,
-};
+use crate::service::{Applied, Counting, Motion, Operations, Published, Scene, Submission};
+use crate::wire::atomic::{Atomic, Sent};
+use crate::wire::calls;
 use crate::wire::convert::{MassProperties, Settings, mass_properties};
-use crate::wire::decode::{self, Decoded};
-use crate::wire::problem::{Code, Fault, Problem};
-
-/// Bodies above this are decoded on a thread that may take its time.
-const DECODED_INLINE_BYTES_MAX: usize = 64 << 10;
+use crate::wire::decode;
+use crate::wire::problem::{Fault, Problem};
 
 /// What a change did.
 #[derive(Serialize, ToSchema)]
@@ -162,17 +156,22 @@ pub(super) async fn post_changes(
             ndjson::apply(&scene, &settings, body, app.limits.request_timeout).await?;
         return Ok(answer(&scene, &settings, wanted, &published, counts, None).into_response());
     }
+    // The room that it takes is given back when it is answered.
     let body = request::read(&headers, body, &app.limits, &app.room).await?;
-    let time = app.limits.request_timeout;
-    let change = Atomic {
-        cubes_max: app.limits.change_cubes_max,
-        scene,
-        settings,
-        kind,
-        body,
-        wanted,
+    let bytes = body.bytes.clone();
+    let sent = match kind {
+        BodyType::Protobuf => Sent::Protobuf(bytes),
+        _ => Sent::Json(bytes),
     };
-    within(time, Arc::new(change).apply(key)).await
+    let (time, cubes_max) = (app.limits.request_timeout, app.limits.change_cubes_max);
+    let change = Atomic::new(scene, settings, sent, cubes_max);
+    let applied = calls::within(time, change.apply(key)).await?;
+    Ok(applied_answer(
+        &change.scene,
+        &change.settings,
+        wanted,
+        &applied,
+    ))
 }
 
 /// Go back
@@ -204,21 +203,7 @@ pub(super) async fn post_revert(
     body_type(&headers, &[BodyType::Json])?;
     let body = request::read(&headers, body, &app.limits, &app.room).await?;
     let to = decode::revert(&body.bytes)?;
-    let digest = || {
-        Sha256::new()
-            .chain_update(b"revert")
-            .chain_update([0])
-            .chain_update(&body.bytes)
-            .finalize()
-            .into()
-    };
-    let submission = Submission {
-        operations: Operations::Revert(to),
-        counting: Counting::Net,
-        motion: Motion::default(),
-        key: key.map(|key| (key, digest())),
-    };
-    let applied = scene.change(submission).await?;
+    let applied = calls::revert(&scene, to, key, &body.bytes).await?;
     Ok(applied_answer(&scene, &settings, wanted, &applied))
 }
 
@@ -260,131 +245,4 @@ fn returned(minimal: bool) -> Return {
     } else {
         Return::Representation
     }
-}
-
-/// An atomic change on its way.
-struct Atomic {
-    cubes_max: usize,
-    scene: Arc<Scene>,
-    settings: Settings,
-    kind: BodyType,
-    body: Whole,
-    wanted: Return,
-}
-
-impl Atomic {
-    async fn apply(self: Arc<Self>, key: Option<Box<str>>) -> Result<Response, Problem> {
-        let (decoded, key) = self
-            .off_thread(move |this| {
-                let decoded = this.decode()?;
-                Ok((decoded, key.map(|key| (key, this.digest()))))
-            })
-            .await?;
-        let deletions = decoded.deletions;
-        let submission = Submission {
-            operations: decoded.operations,
-            counting: Counting::Net,
-            motion: decoded.motion,
-            key,
-        };
-        match self.scene.change(submission).await {
-            Ok(applied) => Ok(applied_answer(
-                &self.scene,
-                &self.settings,
-                self.wanted,
-                &applied,
-            )),
-            Err(ServiceError::Rejected(rejected @ Rejected::IdConflict { .. })) => {
-                // Either the scene has the id elsewhere, or the change itself names two places. The engine cannot tell them apart.
-                self.off_thread(Self::duplicates).await?;
-                Err(conflict(rejected, &self.settings, |index| {
-                    self.pointer(index, deletions)
-                }))
-            }
-            Err(error) => Err(error.into()),
-        }
-    }
-
-    fn decode(&self) -> Result<Decoded, Problem> {
-        let read = if self.kind == BodyType::Protobuf {
-            decode::message
-        } else {
-            decode::change
-        };
-        read(&self.body.bytes, &self.settings, self.cubes_max)
-    }
-
-    /// An error when the body puts an id at two places.
-    fn duplicates(&self) -> Result<(), Problem> {
-        let body = &self.body.bytes;
-        if self.kind == BodyType::Protobuf {
-            decode::message_duplicates(body)
-        } else {
-            decode::change_faults(body, &self.settings, self.cubes_max).map(|_| ())
-        }
-    }
-
-    /// What the idempotency key stands for: the body and how it is read.
-    fn digest(&self) -> [u8; 32] {
-        Sha256::new()
-            .chain_update(self.kind.name())
-            .chain_update([0])
-            .chain_update(&self.body.bytes)
-            .finalize()
-            .into()
-    }
-
-    /// Where in the body an operation is.
-    fn pointer(&self, index: usize, deletions: usize) -> String {
-        let list = if self.kind == BodyType::Protobuf {
-            "insert_id"
-        } else {
-            "insert"
-        };
-        format!("/{list}/{}", index.saturating_sub(deletions))
-    }
-
-    /// Runs long work where it does not hold up other requests.
-    async fn off_thread<T: Send + 'static>(
-        self: &Arc<Self>,
-        work: impl FnOnce(&Self) -> Result<T, Problem> + Send + 'static,
-    ) -> Result<T, Problem> {
-        if self.body.bytes.len() <= DECODED_INLINE_BYTES_MAX {
-            return work(self);
-        }
-        let this = Arc::clone(self);
-        match tokio::task::spawn_blocking(move || work(&this)).await {
-            Ok(done) => done,
-            Err(error) => std::panic::resume_unwind(error.into_panic()),
-        }
-    }
-}
-
-/// The problem of an id that is at another place, said in user units. `pointer` gives the place of an operation in the body.
-pub(super) fn conflict(
-    rejected: Rejected,
-    settings: &Settings,
-    pointer: impl Fn(usize) -> String,
-) -> Problem {
-    let Rejected::IdConflict {
-        index,
-        id,
-        there,
-        asked,
-    } = rejected
-    else {
-        return ServiceError::Rejected(rejected).into();
-    };
-    let (there, asked) = (settings.at(there), settings.at(asked));
-    let detail = format!(
-        "cube {id} is at {there:?}, so it cannot be inserted at {asked:?}",
-        id = id.0
-    );
-    let fault = Fault {
-        value: Some(serde_json::json!({"id": id.0, "at": asked})),
-        ..Fault::at(pointer(index), format!("is at {there:?} already"), None)
-    };
-    Problem::new(Code::IdConflict, detail)
-        .with("id", id.0)
-        .with_fault(fault)
 }

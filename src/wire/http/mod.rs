@@ -30,7 +30,8 @@ use tower_http::trace::TraceLayer;
 use utoipa_swagger_ui::SwaggerUi;
 
 pub use self::operate::install_metrics;
-use self::request::{Room, within};
+use self::request::Room;
+use super::calls::{self, within};
 use super::problem::{Code, Problem};
 use crate::service::Service;
 
@@ -220,13 +221,7 @@ async fn problems_only(request: Request, next: Next) -> Response {
 
 #[expect(clippy::needless_pass_by_value, reason = "the layer's signature")]
 fn panicked(cause: Box<dyn Any + Send + 'static>) -> Response {
-    let text = cause
-        .downcast_ref::<String>()
-        .map(String::as_str)
-        .or_else(|| cause.downcast_ref::<&str>().copied());
-    tracing::error!(cause = text.unwrap_or("unknown"), "a handler panicked");
-    let detail = "the server's log has the cause, by the request's id";
-    Problem::new(Code::Internal, detail).into_response()
+    calls::panicked(cause.as_ref()).into_response()
 }
 
 fn span<B>(request: &axum::http::Request<B>) -> tracing::Span {

@@ -15,12 +15,12 @@ use axum::body::{Body, Bytes};
 use futures_util::StreamExt;
 use tokio::time::Instant;
 
-use super::changes::conflict;
 use super::request::{broken, slow_request};
 use crate::engine::{Counts, Op, Rejected};
 use crate::service::{
     Applied, Counting, Motion, Operations, Published, Scene, ServiceError, Submission,
 };
+use crate::wire::atomic::conflict;
 use crate::wire::convert::Settings;
 use crate::wire::decode;
 use crate::wire::problem::{Code, Problem};

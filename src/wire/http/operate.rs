@@ -41,6 +41,12 @@ pub fn install_metrics() -> PrometheusHandle {
             metrics::Unit::Seconds,
             "Time from a request's head to its answer's head"
         );
+        metrics::describe_counter!("union3d_grpc_requests_total", "gRPC calls that are over");
+        metrics::describe_histogram!(
+            "union3d_grpc_request_duration_seconds",
+            metrics::Unit::Seconds,
+            "Time from a gRPC call's head to its answer's head"
+        );
         metrics::describe_gauge!("union3d_scenes", "Scenes, by state");
         metrics::describe_gauge!("union3d_cubes", "Cubes of all scenes that answer");
         handle

@@ -19,10 +19,11 @@ use super::{App, scenes};
 use crate::engine::{Cursor, Side};
 use crate::geometry::{CubeId, Place};
 use crate::service::{HistoryRow, Published, Scene, Seq, ServiceError};
+use crate::wire::calls;
 use crate::wire::convert::{
-    MassProperties, PartProperties, Settings, duration_user, mass_properties, rfc3339,
+    MassProperties, PartProperties, Settings, duration_user, mass_properties, removal_rate, rfc3339,
 };
-use crate::wire::problem::{Code, Fault, Problem};
+use crate::wire::problem::{Fault, Problem};
 
 const HISTORY_LIMIT: usize = 1_000;
 const HISTORY_LIMIT_MAX: usize = 10_000;
@@ -64,15 +65,7 @@ pub(super) async fn get_mass_properties(
     let query = parameters.only(&["at", "wait"])?;
     let (at, wait) = (query.number("at")?, query.number("wait")?);
     let (scene, settings) = scenes::open(&app, &name)?;
-    let published = match (at, wait) {
-        (None, None) => scene.published()?,
-        (Some(seq), None) => scene.at(Seq(seq)).await?,
-        (None, Some(seq)) => wait_for(&app, &scene, Seq(seq)).await?,
-        (Some(_), Some(seq)) => {
-            let detail = "cannot stand together with at: what is past need not be waited for";
-            return Err(Fault::in_parameter("wait", detail, &seq.to_string()).into());
-        }
-    };
+    let published = calls::published(&scene, at, wait, app.limits.wait_max).await?;
     let tag = entity_tag(&scene, published.seq);
     let tagged = [
         (header::ETAG, tag.clone()),
@@ -86,23 +79,9 @@ pub(super) async fn get_mass_properties(
 
 const NO_CACHE: HeaderValue = HeaderValue::from_static("no-cache");
 
-async fn wait_for(app: &App, scene: &Scene, seq: Seq) -> Result<Published, Problem> {
-    let time = app.limits.wait_max;
-    let Some(published) = scene.wait_for(seq, time).await? else {
-        let newest = scene.published()?.seq.0;
-        let detail = format!(
-            "seq {} did not come within {} s; the newest is {newest}",
-            seq.0,
-            time.as_secs_f64()
-        );
-        return Err(Problem::new(Code::WaitTimeout, detail).with("newest", newest));
-    };
-    Ok(published)
-}
-
 /// Weak: the same totals may be sent compressed or not.
 fn entity_tag(scene: &Scene, seq: Seq) -> HeaderValue {
-    let tag = format!("W/\"{}-{}\"", scenes::incarnation(scene), seq.0);
+    let tag = format!("W/\"{}-{}\"", calls::incarnation(scene), seq.0);
     HeaderValue::try_from(tag).expect("hexadecimal and decimal digits")
 }
 
@@ -203,9 +182,7 @@ impl HistoryEntry {
             deleted: row.deleted,
             volume_removed,
             volume_removed_exact: row.volume_removed.to_string(),
-            removal_rate: duration
-                .filter(|seconds| *seconds > 0.0)
-                .map(|seconds| volume_removed / seconds),
+            removal_rate: removal_rate(volume_removed, duration),
             totals: mass_properties(Some(scene), Some(row.seq.0), &row.totals, settings),
         }
     }
@@ -456,10 +433,7 @@ pub(super) async fn get_cube(
     parameters.only(&[])?;
     let id = CubeId(whole("id", &id)?);
     let (scene, settings) = scenes::open(&app, &name)?;
-    let Some(place) = scene.cube(id).await? else {
-        let detail = format!("there is no cube {} in scene {name:?}", id.0);
-        return Err(Problem::new(Code::NoSuchCube, detail));
-    };
+    let place = calls::cube(&scene, id).await?;
     Ok(Json(cube_document((id, place), &settings)))
 }
 
@@ -611,20 +585,13 @@ pub(super) async fn get_contains(
 
 /// The lattice point of `x,y,z`.
 fn point(text: Option<&str>, settings: &Settings) -> Result<[i32; 3], Problem> {
-    let fault =
-        |detail: String| Problem::from(Fault::in_parameter("at", detail, text.unwrap_or("")));
-    let numbers = text.unwrap_or_default().split(',');
-    let numbers: Vec<f64> = numbers
-        .filter_map(|number| number.trim().parse().ok())
-        .filter(|number: &f64| number.is_finite())
-        .collect();
-    let commas = text.unwrap_or_default().matches(',').count();
-    let (Ok(at), 2) = (<[f64; 3]>::try_from(numbers), commas) else {
-        return Err(fault("is not three finite numbers x,y,z".to_owned()));
-    };
-    settings
-        .point(at)
-        .map_err(|(axis, invalid)| fault(format!("{}: {invalid}", ["x", "y", "z"][axis])))
+    let text = text.unwrap_or_default();
+    let numbers = text.split(',').map(|number| number.trim().parse().ok());
+    let numbers: Option<Vec<f64>> = numbers.collect();
+    match numbers.and_then(|numbers| <[f64; 3]>::try_from(numbers).ok()) {
+        Some(at) => calls::point(at, text, settings),
+        None => Err(Fault::in_parameter("at", calls::NO_POINT, text).into()),
+    }
 }
 
 /// A recount that agrees.
@@ -653,22 +620,10 @@ pub(super) async fn post_audit(
 ) -> Result<Json<AuditDocument>, Problem> {
     parameters.only(&[])?;
     let (scene, settings) = scenes::open(&app, &name)?;
-    let audit = scene.audit().await?;
-    let seq = audit.seq.0;
-    if audit.kept == audit.recounted {
-        return Ok(Json(AuditDocument {
-            seq,
-            cubes: audit.recounted.cubes,
-            equal: true,
-        }));
-    }
-    let shown = |totals| {
-        serde_json::to_value(mass_properties(Some(&name), Some(seq), totals, &settings))
-            .expect("numbers and strings are JSON")
-    };
-    let detail = format!("at seq {seq} the totals of scene {name:?} are not those of its cubes");
-    Err(Problem::new(Code::AuditDifference, detail)
-        .with("seq", seq)
-        .with("kept", shown(&audit.kept))
-        .with("recounted", shown(&audit.recounted)))
+    let (seq, cubes) = calls::audit(&scene, &settings).await?;
+    Ok(Json(AuditDocument {
+        seq: seq.0,
+        cubes,
+        equal: true,
+    }))
 }

@@ -1,7 +1,6 @@
 //! What a request says outside its body, and the reading of bodies: everything checked, every failure a problem.
 
 use std::borrow::Cow;
-use std::future::Future;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -14,6 +13,7 @@ use futures_util::StreamExt;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use super::Limits;
+use crate::wire::calls;
 use crate::wire::problem::{Code, Fault, Faults, Problem};
 
 /// Parameters of the path.
@@ -191,15 +191,11 @@ pub(super) fn idempotency_key(headers: &HeaderMap) -> Result<Option<Box<str>>, P
     let Some(value) = values.next() else {
         return Ok(None);
     };
-    let text = value.to_str().unwrap_or_default();
-    let visible = text.bytes().all(|byte| byte.is_ascii_graphic());
-    if values.next().is_none() && visible && (1..=64).contains(&text.len()) {
-        Ok(Some(text.into()))
-    } else {
+    if values.next().is_some() {
         let sent = String::from_utf8_lossy(value.as_bytes());
-        let detail = "is not one key of 1 to 64 visible ASCII characters";
-        Err(Fault::in_parameter(NAME, detail, &sent).into())
+        return Err(Fault::in_parameter(NAME, "stands twice", &sent).into());
     }
+    calls::idempotency_key(value.as_bytes()).map(Some)
 }
 
 /// Bodies below this are read whenever they come, however many.
@@ -288,16 +284,4 @@ pub(super) fn broken(error: &axum::Error) -> Problem {
 pub(super) fn slow_request(waited: Duration) -> Problem {
     let detail = format!("the server waited {} s for the body", waited.as_secs_f64());
     Problem::new(Code::RequestTimeout, detail)
-}
-
-/// Answers after `time` at the latest.
-pub(super) async fn within<T>(
-    time: Duration,
-    work: impl Future<Output = Result<T, Problem>>,
-) -> Result<T, Problem> {
-    let Ok(done) = tokio::time::timeout(time, work).await else {
-        let detail = format!("there was no answer within {} s", time.as_secs_f64());
-        return Err(Problem::new(Code::AnswerTimeout, detail));
-    };
-    done
 }

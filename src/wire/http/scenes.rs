@@ -12,10 +12,11 @@ use utoipa::ToSchema;
 
 use super::request::{self, BodyType, Parameters, Path, body_type};
 use super::{App, Limits};
-use crate::service::{Scene, SceneName, SceneState};
+use crate::service::{Scene, SceneState};
+use crate::wire::calls::{self, incarnation};
 use crate::wire::convert::{Settings, SettingsDocument};
 use crate::wire::decode;
-use crate::wire::problem::{Code, Fault, Problem};
+use crate::wire::problem::Problem;
 
 /// Largest body that settings can fill sensibly.
 const SETTINGS_BYTES_MAX: usize = 64 << 10;
@@ -88,23 +89,9 @@ fn document(scene: &Scene) -> SceneDocument {
     }
 }
 
-/// The name of a scene's life, in a form that every JSON reader keeps exact.
-pub(super) fn incarnation(scene: &Scene) -> String {
-    format!("{:016x}", scene.incarnation())
-}
-
 /// A scene with the settings that this module gave it.
 pub(super) fn open(app: &App, name: &str) -> Result<(Arc<Scene>, Settings), Problem> {
-    let scene = app.service.scene(name)?;
-    let Some(settings) = Settings::from_text(scene.settings()) else {
-        // A scene that does not run says why by itself; one that runs has settings.
-        scene.published()?;
-        return Err(Problem::new(
-            Code::Internal,
-            "the scene's settings are in a form that this version does not know",
-        ));
-    };
-    Ok((scene, settings))
+    calls::open(&app.service, name)
 }
 
 /// Create a scene
@@ -128,8 +115,7 @@ pub(super) async fn put_scene(
     body: Body,
 ) -> Result<Response, Problem> {
     parameters.only(&[])?;
-    let name = SceneName::new(&name)
-        .map_err(|detail| Problem::from(Fault::in_parameter("scene", detail, &name)))?;
+    let name = calls::scene_name(&name)?;
     body_type(&headers, &[BodyType::Json])?;
     let limits = Limits {
         body_bytes_max: app.limits.body_bytes_max.min(SETTINGS_BYTES_MAX),
@@ -137,10 +123,7 @@ pub(super) async fn put_scene(
     };
     let body = request::read(&headers, body, &limits, &app.room).await?;
     let settings = decode::settings(&body.bytes)?;
-    let (scene, new) = app
-        .service
-        .create(&name, settings.edge(), settings.stock(), &settings.text())
-        .await?;
+    let (scene, new) = calls::create(&app.service, &name, &settings).await?;
     let status = if new {
         StatusCode::CREATED
     } else {
@@ -194,9 +177,6 @@ pub(super) async fn delete_scene(
     parameters: Parameters,
 ) -> Result<StatusCode, Problem> {
     parameters.only(&[])?;
-    // A name that cannot exist is one that does not.
-    let no_such = |_| crate::service::ServiceError::NoSuchScene(name.clone());
-    let name = SceneName::new(&name).map_err(no_such)?;
-    app.service.remove(&name).await?;
+    calls::remove(&app.service, &name).await?;
     Ok(StatusCode::NO_CONTENT)
 }

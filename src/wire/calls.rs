@@ -1,0 +1,195 @@
+//! What a call does between its decoding and its answer, the same over HTTP and gRPC.
+
+use std::any::Any;
+use std::future::Future;
+use std::sync::Arc;
+use std::time::Duration;
+
+use sha2::{Digest, Sha256};
+
+use super::convert::{Settings, mass_properties};
+use super::problem::{Code, Fault, Problem};
+use crate::geometry::{CubeId, Place};
+use crate::service::{
+    Applied, Counting, Motion, Operations, Published, Scene, SceneName, Seq, Service, ServiceError,
+    Submission,
+};
+
+/// A scene with the settings that [`create`] gave it.
+pub(super) fn open(service: &Service, name: &str) -> Result<(Arc<Scene>, Settings), Problem> {
+    let scene = service.scene(name)?;
+    let Some(settings) = Settings::from_text(scene.settings()) else {
+        // A scene that does not run says why by itself; one that runs has settings.
+        scene.published()?;
+        return Err(Problem::new(
+            Code::Internal,
+            "the scene's settings are in a form that this version does not know",
+        ));
+    };
+    Ok((scene, settings))
+}
+
+/// The name of a scene's life, in a form that every JSON reader keeps exact.
+pub(super) fn incarnation(scene: &Scene) -> String {
+    format!("{:016x}", scene.incarnation())
+}
+
+/// A name that a scene can have.
+pub(super) fn scene_name(name: &str) -> Result<SceneName, Problem> {
+    SceneName::new(name).map_err(|detail| Fault::in_parameter("scene", detail, name).into())
+}
+
+/// Creates a scene; true when it is new.
+pub(super) async fn create(
+    service: &Service,
+    name: &SceneName,
+    settings: &Settings,
+) -> Result<(Arc<Scene>, bool), Problem> {
+    let created = service
+        .create(name, settings.edge(), settings.stock(), &settings.text())
+        .await;
+    Ok(created?)
+}
+
+/// Drops a scene with its data.
+pub(super) async fn remove(service: &Service, name: &str) -> Result<(), Problem> {
+    // A name that cannot exist is one that does not.
+    let no_such = |_| ServiceError::NoSuchScene(name.to_owned());
+    let name = SceneName::new(name).map_err(no_such)?;
+    Ok(service.remove(&name).await?)
+}
+
+/// An idempotency key as it was sent.
+pub(super) fn idempotency_key(sent: &[u8]) -> Result<Box<str>, Problem> {
+    let visible = sent.iter().all(u8::is_ascii_graphic);
+    match std::str::from_utf8(sent) {
+        Ok(key) if visible && (1..=64).contains(&key.len()) => Ok(key.into()),
+        _ => Err(Fault::in_parameter(
+            "Idempotency-Key",
+            "is not one key of 1 to 64 visible ASCII characters",
+            &String::from_utf8_lossy(sent),
+        )
+        .into()),
+    }
+}
+
+/// What an idempotency key stands for: a body and how it is read.
+pub(super) fn digest(kind: &str, body: &[u8]) -> [u8; 32] {
+    Sha256::new()
+        .chain_update(kind)
+        .chain_update([0])
+        .chain_update(body)
+        .finalize()
+        .into()
+}
+
+/// Makes the scene's cubes what they were at `to`. `body` is what the key, if any, stands for.
+pub(super) async fn revert(
+    scene: &Scene,
+    to: Seq,
+    key: Option<Box<str>>,
+    body: &[u8],
+) -> Result<Applied, Problem> {
+    let submission = Submission {
+        operations: Operations::Revert(to),
+        counting: Counting::Net,
+        motion: Motion::default(),
+        key: key.map(|key| (key, digest("revert", body))),
+    };
+    Ok(scene.change(submission).await?)
+}
+
+/// The current totals, or past ones, or those after a wait.
+pub(super) async fn published(
+    scene: &Scene,
+    at: Option<u64>,
+    wait: Option<u64>,
+    wait_max: Duration,
+) -> Result<Published, Problem> {
+    match (at, wait) {
+        (None, None) => Ok(scene.published()?),
+        (Some(seq), None) => Ok(scene.at(Seq(seq)).await?),
+        (None, Some(seq)) => wait_for(scene, Seq(seq), wait_max).await,
+        (Some(_), Some(seq)) => {
+            let detail = "cannot stand together with at: what is past need not be waited for";
+            Err(Fault::in_parameter("wait", detail, &seq.to_string()).into())
+        }
+    }
+}
+
+async fn wait_for(scene: &Scene, seq: Seq, time: Duration) -> Result<Published, Problem> {
+    let Some(published) = scene.wait_for(seq, time).await? else {
+        let newest = scene.published()?.seq.0;
+        let detail = format!(
+            "seq {} did not come within {} s; the newest is {newest}",
+            seq.0,
+            time.as_secs_f64()
+        );
+        return Err(Problem::new(Code::WaitTimeout, detail).with("newest", newest));
+    };
+    Ok(published)
+}
+
+/// Where a cube is.
+pub(super) async fn cube(scene: &Scene, id: CubeId) -> Result<Place, Problem> {
+    scene.cube(id).await?.ok_or_else(|| {
+        let name = scene.name().as_str();
+        let detail = format!("there is no cube {} in scene {name:?}", id.0);
+        Problem::new(Code::NoSuchCube, detail)
+    })
+}
+
+/// What is said of a point that is none.
+pub(super) const NO_POINT: &str = "is not three finite numbers x,y,z";
+
+/// The lattice point of a point in user units; `sent` is how the client said it.
+pub(super) fn point(at: [f64; 3], sent: &str, settings: &Settings) -> Result<[i32; 3], Problem> {
+    if !at.iter().all(|coordinate| coordinate.is_finite()) {
+        return Err(Fault::in_parameter("at", NO_POINT, sent).into());
+    }
+    settings.point(at).map_err(|(axis, invalid)| {
+        let detail = format!("{}: {invalid}", ["x", "y", "z"][axis]);
+        Fault::in_parameter("at", detail, sent).into()
+    })
+}
+
+/// Recounts everything and compares: the seq that it is as of, and the number of cubes.
+pub(super) async fn audit(scene: &Scene, settings: &Settings) -> Result<(Seq, u64), Problem> {
+    let audit = scene.audit().await?;
+    if audit.kept == audit.recounted {
+        return Ok((audit.seq, audit.recounted.cubes));
+    }
+    let (name, seq) = (scene.name().as_str(), audit.seq.0);
+    let shown = |totals| {
+        serde_json::to_value(mass_properties(Some(name), Some(seq), totals, settings))
+            .expect("numbers and strings are JSON")
+    };
+    let detail = format!("at seq {seq} the totals of scene {name:?} are not those of its cubes");
+    Err(Problem::new(Code::AuditDifference, detail)
+        .with("seq", seq)
+        .with("kept", shown(&audit.kept))
+        .with("recounted", shown(&audit.recounted)))
+}
+
+/// Answers after `time` at the latest.
+pub(super) async fn within<T>(
+    time: Duration,
+    work: impl Future<Output = Result<T, Problem>>,
+) -> Result<T, Problem> {
+    let Ok(done) = tokio::time::timeout(time, work).await else {
+        let detail = format!("there was no answer within {} s", time.as_secs_f64());
+        return Err(Problem::new(Code::AnswerTimeout, detail));
+    };
+    done
+}
+
+/// The problem of a handler that panicked.
+pub(super) fn panicked(cause: &(dyn Any + Send)) -> Problem {
+    let text = cause
+        .downcast_ref::<String>()
+        .map(String::as_str)
+        .or_else(|| cause.downcast_ref::<&str>().copied());
+    tracing::error!(cause = text.unwrap_or("unknown"), "a handler panicked");
+    let detail = "the server's log has the cause, by the request's id";
+    Problem::new(Code::Internal, detail)
+}

@@ -1,0 +1,338 @@
+//! What is answered, as messages. The values are those of the JSON: they are made in `convert` alone.
+
+use crate::engine::Side;
+use crate::geometry::{CubeId, Place};
+use crate::service::{Applied, HistoryRow, Published, Scene, SceneState};
+use crate::wire::calls::incarnation;
+use crate::wire::convert::{
+    self, Anchor, EdgeLength, Exact, MassProperties, PartProperties, Rounding, Settings,
+    SettingsDocument, StockDocument, UserBounds,
+};
+use crate::wire::problem::{Fault, Problem};
+use crate::wire::proto;
+
+/// How much is answered of the totals.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum Detail {
+    None,
+    Volume,
+    Full,
+}
+
+impl Detail {
+    pub(super) fn of(sent: i32) -> Result<Self, Problem> {
+        match proto::Detail::try_from(sent) {
+            Ok(proto::Detail::Unspecified | proto::Detail::Full) => Ok(Self::Full),
+            Ok(proto::Detail::Volume) => Ok(Self::Volume),
+            Ok(proto::Detail::None) => Ok(Self::None),
+            Err(_) => Err(unknown("detail", sent)),
+        }
+    }
+}
+
+/// The problem of a value that no enumeration has.
+pub(super) fn unknown(field: &'static str, sent: i32) -> Problem {
+    Fault::in_parameter(
+        field,
+        "is not a value that is known here",
+        &sent.to_string(),
+    )
+    .into()
+}
+
+pub(super) fn vector([x, y, z]: [f64; 3]) -> proto::Vector {
+    proto::Vector { x, y, z }
+}
+
+pub(super) fn scene(scene: &Scene) -> proto::Scene {
+    let published = scene.published().ok();
+    let (state, percent, cause) = match scene.state() {
+        SceneState::Running => (proto::SceneState::Running, None, None),
+        SceneState::Recovering { percent } => {
+            (proto::SceneState::Recovering, Some(percent.into()), None)
+        }
+        SceneState::Stopped { cause, .. } => (proto::SceneState::Stopped, None, Some(cause)),
+        SceneState::Damaged { cause } => (proto::SceneState::Damaged, None, Some(cause)),
+    };
+    proto::Scene {
+        name: scene.name().as_str().to_owned(),
+        settings: Settings::from_text(scene.settings()).map(|known| settings(known.document())),
+        cubes: published.map(|published| published.totals.cubes),
+        seq: published.map(|published| published.seq.0),
+        incarnation: incarnation(scene),
+        state: state.into(),
+        percent,
+        cause,
+    }
+}
+
+fn settings(document: SettingsDocument) -> proto::SceneSettings {
+    let anchor = match document.anchor {
+        Anchor::Corner => proto::Anchor::Corner,
+        Anchor::Center => proto::Anchor::Center,
+    };
+    let rounding = match document.rounding {
+        Rounding::Nearest => proto::Rounding::Nearest,
+        Rounding::Reject => proto::Rounding::Reject,
+    };
+    proto::SceneSettings {
+        edge: document.edge,
+        steps_per_unit: Some(document.steps_per_unit),
+        unit: Some(document.unit),
+        density: Some(document.density),
+        anchor: anchor.into(),
+        rounding: rounding.into(),
+        stock: document.stock.map(|StockDocument { min, max }| proto::Box {
+            min: Some(vector(min)),
+            max: Some(vector(max)),
+        }),
+    }
+}
+
+/// The totals, as much as is wanted of them.
+pub(super) fn totals(
+    wanted: Detail,
+    scene: &Scene,
+    settings: &Settings,
+    published: &Published,
+) -> (Option<proto::Volumes>, Option<proto::MassProperties>) {
+    match wanted {
+        Detail::None => (None, None),
+        Detail::Volume => {
+            let totals = &published.totals;
+            let stock = totals.stock.as_ref();
+            let [removed, remaining] = [
+                stock.map(|stock| stock.removed.volume),
+                stock.map(|stock| stock.remaining.volume),
+            ];
+            let user = |steps3: i128| settings.volume_user(steps3);
+            let volumes = proto::Volumes {
+                union: user(totals.measures.volume),
+                area: settings.area_user(totals.measures.area()),
+                removed: removed.map(user),
+                remaining: remaining.map(user),
+                exact_union: totals.measures.volume.to_string(),
+                exact_area: totals.measures.area().to_string(),
+                exact_removed: removed.map(|steps3| steps3.to_string()),
+                exact_remaining: remaining.map(|steps3| steps3.to_string()),
+            };
+            (Some(volumes), None)
+        }
+        Detail::Full => (None, Some(mass_properties(scene, settings, published))),
+    }
+}
+
+pub(super) fn outcome(
+    wanted: Detail,
+    scene: &Scene,
+    settings: &Settings,
+    applied: &Applied,
+) -> proto::Outcome {
+    let (volumes, mass_properties) = totals(wanted, scene, settings, &applied.published);
+    proto::Outcome {
+        seq: applied.published.seq.0,
+        inserted: applied.counts.inserted,
+        deleted: applied.counts.deleted,
+        unchanged: applied.counts.unchanged,
+        assigned: applied.assigned.map(|(first, last)| proto::AssignedIds {
+            first: first.0,
+            last: last.0,
+        }),
+        replayed: applied.replayed,
+        volumes,
+        mass_properties,
+    }
+}
+
+pub(super) fn mass_properties(
+    scene: &Scene,
+    settings: &Settings,
+    published: &Published,
+) -> proto::MassProperties {
+    let shown = convert::mass_properties(
+        Some(scene.name().as_str()),
+        Some(published.seq.0),
+        &published.totals,
+        settings,
+    );
+    let MassProperties {
+        scene,
+        seq,
+        cubes,
+        volume,
+        area,
+        edge_length,
+        mass,
+        mean_curvature,
+        centroid,
+        inertia,
+        bounds,
+        euler_characteristic,
+        vertices,
+        exact,
+        removed,
+        remaining,
+    } = shown;
+    // The union is answered like a part, its fields beside those that only it has.
+    let union = part(PartProperties {
+        volume,
+        area,
+        edge_length,
+        mass,
+        mean_curvature,
+        centroid,
+        inertia,
+        euler_characteristic,
+        vertices,
+        exact,
+    });
+    proto::MassProperties {
+        scene: scene.unwrap_or_default(),
+        seq: seq.unwrap_or_default(),
+        cubes,
+        volume: union.volume,
+        area: union.area,
+        edge_length: union.edge_length,
+        mass: union.mass,
+        mean_curvature: union.mean_curvature,
+        centroid: union.centroid,
+        inertia: union.inertia,
+        bounds: bounds.map(|UserBounds { min, max }| proto::Box {
+            min: Some(vector(min)),
+            max: Some(vector(max)),
+        }),
+        euler_characteristic: union.euler_characteristic,
+        vertices: union.vertices,
+        exact: union.exact,
+        removed: removed.map(part),
+        remaining: remaining.map(part),
+    }
+}
+
+fn part(shown: PartProperties) -> proto::PartProperties {
+    let EdgeLength {
+        total,
+        convex,
+        concave,
+        crossing,
+    } = shown.edge_length;
+    let [[xx, xy, zx], [_, yy, yz], [_, _, zz]] = shown.inertia;
+    let vertices = shown.vertices;
+    proto::PartProperties {
+        volume: shown.volume,
+        area: shown.area,
+        edge_length: Some(proto::EdgeLength {
+            total,
+            convex,
+            concave,
+            crossing,
+        }),
+        mass: shown.mass,
+        mean_curvature: shown.mean_curvature,
+        centroid: shown.centroid.map(vector),
+        inertia: Some(proto::InertiaTensor {
+            xx,
+            yy,
+            zz,
+            xy,
+            yz,
+            zx,
+        }),
+        euler_characteristic: shown.euler_characteristic,
+        vertices: Some(proto::Vertices {
+            total: vertices.total,
+            corner: vertices.corner,
+            edge_face: vertices.edge_face,
+            three_face: vertices.three_face,
+            degenerate: vertices.degenerate,
+        }),
+        exact: Some(exact(shown.exact)),
+    }
+}
+
+fn exact(exact: Exact) -> proto::ExactMeasures {
+    let vector = |[x, y, z]: [String; 3]| Some(proto::ExactVector { x, y, z });
+    let [xy, yz, zx] = exact.product_moments4;
+    proto::ExactMeasures {
+        steps_per_unit: exact.steps_per_unit,
+        volume: exact.volume,
+        area: exact.area,
+        area_by_axis: vector(exact.area_by_axis),
+        edge_length: Some(proto::ExactEdgeLength {
+            total: exact.edge_length.total,
+            convex: exact.edge_length.convex,
+            concave: exact.edge_length.concave,
+            crossing: exact.edge_length.crossing,
+        }),
+        first_moments2: vector(exact.first_moments2),
+        second_moments3: vector(exact.second_moments3),
+        product_moments4: Some(proto::ExactProducts { xy, yz, zx }),
+    }
+}
+
+pub(super) fn cube((id, place): (CubeId, Place), settings: &Settings) -> proto::Cube {
+    let [x, y, z] = place.corner();
+    proto::Cube {
+        id: id.0,
+        at: Some(vector(settings.at(place))),
+        x,
+        y,
+        z,
+    }
+}
+
+pub(super) fn history_row(
+    wanted: Detail,
+    scene: &Scene,
+    settings: &Settings,
+    row: &HistoryRow,
+) -> proto::GetHistoryResponse {
+    let published = Published {
+        seq: row.seq,
+        at_ms: row.at_ms,
+        totals: row.totals,
+    };
+    let (volumes, mass_properties) = totals(wanted, scene, settings, &published);
+    let volume_removed = settings.volume_user(row.volume_removed);
+    let duration = row.motion.duration_ns.map(convert::duration_user);
+    proto::GetHistoryResponse {
+        r#move: row.motion.number,
+        duration,
+        volume_removed,
+        exact_volume_removed: row.volume_removed.to_string(),
+        removal_rate: convert::removal_rate(volume_removed, duration),
+        seq: row.seq.0,
+        time: Some(timestamp(row.at_ms)),
+        inserted: row.inserted,
+        deleted: row.deleted,
+        volumes,
+        mass_properties,
+    }
+}
+
+/// Cubes as a change that inserts them.
+pub(super) fn insertion(cubes: &[(CubeId, Place)]) -> proto::Change {
+    let column = |axis: usize| cubes.iter().map(move |(_, place)| place.corner()[axis]);
+    proto::Change {
+        insert_id: cubes.iter().map(|(id, _)| id.0).collect(),
+        x: column(0).collect(),
+        y: column(1).collect(),
+        z: column(2).collect(),
+        ..proto::Change::default()
+    }
+}
+
+pub(super) fn side(side: Side) -> proto::Side {
+    match side {
+        Side::Inside => proto::Side::Inside,
+        Side::Boundary => proto::Side::Boundary,
+        Side::Outside => proto::Side::Outside,
+    }
+}
+
+/// A time in ms since 1970.
+fn timestamp(at_ms: u64) -> prost_types::Timestamp {
+    let seconds = i64::try_from(at_ms / 1000).unwrap_or(i64::MAX);
+    let nanos = i32::try_from(at_ms % 1000 * 1_000_000).expect("below a second");
+    prost_types::Timestamp { seconds, nanos }
+}

@@ -1,0 +1,129 @@
+//! The gRPC API: the calls of HTTP as messages, and streams of changes. One handler a call; what lies between decoding and
+//! answer is `calls` and `atomic`, as for HTTP.
+//!
+//! ```text
+//!   request ── id, trace, measure ── panics ── handler ── service
+//!   beside it: health (serving once every scene is replayed) and reflection
+//! ```
+
+mod measure;
+mod messages;
+mod service;
+mod status;
+mod stream;
+
+use std::any::Any;
+use std::time::Duration;
+
+use axum::http::{Request, Response};
+use tokio::net::TcpListener;
+use tokio_util::sync::CancellationToken;
+use tonic::body::Body;
+use tonic::transport::Server;
+use tonic::transport::server::TcpIncoming;
+use tonic_health::ServingStatus;
+use tonic_health::server::{HealthReporter, health_reporter};
+use tower_http::catch_panic::CatchPanicLayer;
+use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetRequestIdLayer};
+use tower_http::trace::TraceLayer;
+
+use self::service::Calls;
+use super::calls;
+use super::http::Limits;
+use super::problem::Problem;
+use super::proto::FILE_DESCRIPTOR_SET;
+use super::proto::union_service_server::{SERVICE_NAME, UnionServiceServer};
+use crate::service::{Readiness, Service};
+
+/// A connection on which nothing comes for so long is asked whether it is still there, and closed when it does not answer.
+const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(30);
+const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(20);
+
+/// Calls of one connection at a time; a client that needs more opens another connection.
+const CONNECTION_CALLS_MAX: u32 = 256;
+
+/// How often it is looked whether every scene is replayed.
+const READINESS_PAUSE: Duration = Duration::from_millis(50);
+
+/// Serves the gRPC API of a service until `draining` is cancelled and the calls that are under way then have ended; streams
+/// that have no end of their own are ended.
+/// # Errors
+/// The listener fails.
+pub async fn serve(
+    listener: TcpListener,
+    service: Service,
+    limits: Limits,
+    draining: CancellationToken,
+) -> Result<(), tonic::transport::Error> {
+    let (reporter, health) = health_reporter();
+    set_health(&reporter, ServingStatus::NotServing).await;
+    let calls = Calls {
+        service: service.clone(),
+        limits,
+        draining: draining.clone(),
+    };
+    let calls = UnionServiceServer::new(calls).max_decoding_message_size(limits.body_bytes_max);
+    let reflection = || {
+        tonic_reflection::server::Builder::configure()
+            .register_encoded_file_descriptor_set(FILE_DESCRIPTOR_SET)
+            .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+    };
+    let well_formed = "the compiler of the messages wrote the descriptors";
+    let server = Server::builder()
+        .http2_keepalive_interval(Some(KEEPALIVE_INTERVAL))
+        .http2_keepalive_timeout(Some(KEEPALIVE_TIMEOUT))
+        .max_concurrent_streams(CONNECTION_CALLS_MAX)
+        .layer(SetRequestIdLayer::x_request_id(MakeRequestUuid))
+        .layer(TraceLayer::new_for_grpc().make_span_with(span))
+        .layer(PropagateRequestIdLayer::x_request_id())
+        .layer(measure::layer())
+        .layer(CatchPanicLayer::custom(panicked))
+        .add_service(health)
+        .add_service(reflection().build_v1().expect(well_formed))
+        // Common tools still ask in the older way.
+        .add_service(reflection().build_v1alpha().expect(well_formed))
+        .add_service(calls);
+    // Answers are small and somebody waits for each.
+    let incoming = TcpIncoming::from(listener).with_nodelay(Some(true));
+    let serving = server.serve_with_incoming_shutdown(incoming, draining.cancelled());
+    let showing = show_health(&reporter, &service, &draining);
+    tokio::join!(serving, showing).0
+}
+
+/// Shows that the service serves, from when every scene is replayed until it drains.
+async fn show_health(reporter: &HealthReporter, service: &Service, draining: &CancellationToken) {
+    let ready = async {
+        while let Readiness::Recovering { .. } = service.readiness() {
+            tokio::time::sleep(READINESS_PAUSE).await;
+        }
+        set_health(reporter, ServingStatus::Serving).await;
+        draining.cancelled().await;
+    };
+    draining.run_until_cancelled(ready).await;
+    set_health(reporter, ServingStatus::NotServing).await;
+}
+
+async fn set_health(reporter: &HealthReporter, status: ServingStatus) {
+    for name in ["", SERVICE_NAME] {
+        reporter.set_service_status(name, status).await;
+    }
+}
+
+/// The idempotency key of a request, if it has one.
+fn idempotency_key(sent: Option<&str>) -> Result<Option<Box<str>>, Problem> {
+    sent.map(|key| calls::idempotency_key(key.as_bytes()))
+        .transpose()
+}
+
+#[expect(clippy::needless_pass_by_value, reason = "the layer's signature")]
+fn panicked(cause: Box<dyn Any + Send + 'static>) -> Response<Body> {
+    status::status(&calls::panicked(cause.as_ref()), "").into_http()
+}
+
+fn span<B>(request: &Request<B>) -> tracing::Span {
+    let id = request
+        .headers()
+        .get("x-request-id")
+        .and_then(|id| id.to_str().ok());
+    tracing::info_span!("grpc", path = request.uri().path(), id)
+}

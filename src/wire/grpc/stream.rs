@@ -1,0 +1,229 @@
+//! A stream of changes: a window of them in flight, each acknowledged in its order.
+//!
+//! ```text
+//!   messages ── one at a time: decode, queue ── in flight, at most WINDOW_CHANGES_MAX ── in order ── acknowledgements
+//!                          ▲                                                                  │
+//!                          └──── nothing is read while nobody reads what comes out ◄──────────┘
+//! ```
+//! All of it is one stream of answers, which runs only as far as the client reads it: there is no task and no queue besides the
+//! scene's own. A window rather than one chunk in flight, as lines of JSON have it: here each change has its own answer, and the
+//! chain keeps what follows a refused change from being applied.
+
+use std::future::ready;
+use std::sync::Arc;
+
+use futures_util::future::BoxFuture;
+use futures_util::{Stream, StreamExt, stream};
+use tokio::time::timeout;
+use tokio_util::sync::CancellationToken;
+use tonic::{Status, Streaming};
+
+use super::messages::{self, Detail, unknown};
+use super::status::{self, foreign};
+use crate::service::{Applied, Chain, Scene, ServiceError};
+use crate::wire::atomic::{Atomic, Sent};
+use crate::wire::calls;
+use crate::wire::convert::Settings;
+use crate::wire::http::Limits;
+use crate::wire::problem::{Code, Fault, Problem};
+use crate::wire::proto::{
+    Acknowledged, OnRefusal, Opened, Refused, StreamChangesRequest, StreamChangesResponse,
+    StreamOpening, StreamedChange, stream_changes_request as request,
+    stream_changes_response as response,
+};
+
+/// Changes of one stream that may be in flight: enough that those which wait together fill a commit, and a part only of what the
+/// scene's queue holds, so that others still find room.
+pub(super) const WINDOW_CHANGES_MAX: u32 = 256;
+
+/// Where in a request the places of faults are.
+const BODY: &str = "change";
+
+type Answer = StreamChangesResponse;
+
+/// What has come of one message.
+enum Done {
+    /// A change, with the client's number of it.
+    Judged(u64, Result<Applied, Problem>),
+    /// The end: nothing more is read.
+    Ended(Status),
+}
+
+/// Reads a stream's opening, and gives the answers to all that follows.
+pub(super) async fn open(
+    service: &crate::service::Service,
+    limits: Limits,
+    draining: CancellationToken,
+    mut inbound: Streaming<StreamChangesRequest>,
+) -> Result<impl Stream<Item = Result<Answer, Status>> + Send + 'static, Status> {
+    let opening = timeout(limits.request_timeout, inbound.message()).await;
+    let opening = opening
+        .map_err(|_| Problem::new(Code::RequestTimeout, "the stream was never opened"))
+        .map_err(|problem| status::status(&problem, ""))?
+        .map_err(|broken| end(&broken))?;
+    let Some(request::Message::Opening(opening)) = opening.and_then(|first| first.message) else {
+        let fault = Fault::in_parameter("opening", "is not the first message of the stream", "");
+        return Err(status::status(&fault.into(), ""));
+    };
+    let problem = |problem: Problem| status::status(&problem, "opening");
+    let StreamOpening {
+        scene,
+        detail,
+        on_refusal,
+    } = opening;
+    let detail = Detail::of(detail).map_err(problem)?;
+    let stops = match OnRefusal::try_from(on_refusal) {
+        Ok(OnRefusal::Unspecified | OnRefusal::Stop) => true,
+        Ok(OnRefusal::Continue) => false,
+        Err(_) => return Err(problem(unknown("on_refusal", on_refusal))),
+    };
+    let (scene, settings) = calls::open(service, &scene).map_err(problem)?;
+    scene.published().map_err(|error| problem(error.into()))?;
+    let reader = Reader {
+        inbound,
+        scene: scene.clone(),
+        settings: settings.clone(),
+        chain: stops.then(Chain::default),
+        cubes_max: limits.change_cubes_max,
+        draining,
+        over: false,
+    };
+    let window = usize::try_from(WINDOW_CHANGES_MAX).expect("a window is small");
+    Ok(async_stream::stream! {
+        yield Ok(answer(response::Message::Opened(Opened {
+            scene: Some(messages::scene(&scene)),
+            window_changes_max: WINDOW_CHANGES_MAX,
+        })));
+        let mut done = std::pin::pin!(stream::unfold(reader, Reader::next).buffered(window));
+        while let Some(done) = done.next().await {
+            let (tag, problem) = match done {
+                Done::Judged(tag, Ok(applied)) => {
+                    let outcome = Some(messages::outcome(detail, &scene, &settings, &applied));
+                    yield Ok(answer(response::Message::Acknowledged(Acknowledged { tag, outcome })));
+                    continue;
+                }
+                Done::Judged(tag, Err(problem)) => (tag, problem),
+                Done::Ended(status) => {
+                    yield Err(status);
+                    break;
+                }
+            };
+            let refused = Refused {
+                tag,
+                problem: Some(status::message(&problem, BODY).1),
+            };
+            yield Ok(answer(response::Message::Refused(refused)));
+            if stops || !concerns_the_change(problem.code()) {
+                yield Err(status::status(&problem, BODY));
+                break;
+            }
+        }
+    })
+}
+
+fn answer(message: response::Message) -> Answer {
+    Answer {
+        message: Some(message),
+    }
+}
+
+/// Whether another change may fare better.
+fn concerns_the_change(code: Code) -> bool {
+    matches!(
+        code,
+        Code::Invalid
+            | Code::TooLarge
+            | Code::IdConflict
+            | Code::IdsExhausted
+            | Code::SceneFull
+            | Code::KeyReused
+    )
+}
+
+/// The status of a stream that cannot be read on.
+fn end(broken: &Status) -> Status {
+    match foreign(broken) {
+        Some(problem) => status::status(&problem, ""),
+        None => broken.clone(),
+    }
+}
+
+/// Takes messages and queues the changes in them, one after the other.
+struct Reader {
+    inbound: Streaming<StreamChangesRequest>,
+    scene: Arc<Scene>,
+    settings: Settings,
+    /// There when nothing may be applied after a refused change.
+    chain: Option<Chain>,
+    cubes_max: usize,
+    draining: CancellationToken,
+    /// Whether nothing more is read.
+    over: bool,
+}
+
+impl Reader {
+    async fn next(mut self) -> Option<(BoxFuture<'static, Done>, Self)> {
+        let broken = self.chain.as_ref().is_some_and(Chain::is_broken);
+        if self.over || broken {
+            return None;
+        }
+        let message = tokio::select! {
+            biased;
+            () = self.draining.cancelled() => {
+                let problem = ServiceError::ShuttingDown.into();
+                return Some(self.ended(status::status(&problem, "")));
+            }
+            message = self.inbound.message() => message,
+        };
+        let change = match message {
+            Ok(None) => return None,
+            Ok(Some(StreamChangesRequest {
+                message: Some(request::Message::Change(change)),
+            })) => change,
+            Ok(Some(_)) => {
+                let detail = "is missing: after the first message each has a change";
+                let problem = Fault::in_parameter(BODY, detail, "").into();
+                return Some(self.ended(status::status(&problem, "")));
+            }
+            Err(broken) => {
+                let status = end(&broken);
+                return Some(self.ended(status));
+            }
+        };
+        let tag = change.tag;
+        match self.queue(change).await {
+            Ok(judged) => {
+                let done = async move { Done::Judged(tag, judged.await) };
+                Some((Box::pin(done), self))
+            }
+            Err(problem) => {
+                // It never came into the chain, so it does not break it: what was queued before it stands.
+                self.over = self.chain.is_some();
+                Some((Box::pin(ready(Done::Judged(tag, Err(problem)))), self))
+            }
+        }
+    }
+
+    fn ended(mut self, status: Status) -> (BoxFuture<'static, Done>, Self) {
+        self.over = true;
+        (Box::pin(ready(Done::Ended(status))), self)
+    }
+
+    /// Queues a change, as soon as there is room; what this gives waits until it is durable.
+    async fn queue(
+        &self,
+        change: StreamedChange,
+    ) -> Result<impl Future<Output = Result<Applied, Problem>> + Send + use<>, Problem> {
+        let key = super::idempotency_key(change.idempotency_key.as_deref())?;
+        let sent = Sent::Message(change.change.unwrap_or_default());
+        let atomic = Atomic::new(
+            self.scene.clone(),
+            self.settings.clone(),
+            sent,
+            self.cubes_max,
+        );
+        let (submission, deletions) = atomic.submission(key).await?;
+        let answer = self.scene.submit(submission, self.chain.clone()).await?;
+        Ok(async move { atomic.judged(answer.await, deletions).await })
+    }
+}
