@@ -97,8 +97,10 @@ impl Atomic {
     fn decode(&self) -> Result<Decoded, Problem> {
         match &self.sent {
             Sent::Json(body) => decode::change(body, &self.settings, self.cubes_max),
-            Sent::Protobuf(body) => decode::body(body, &self.settings, self.cubes_max),
-            Sent::Message(message) => decode::message(message, &self.settings, self.cubes_max),
+            Sent::Protobuf(body) => decode::message(body, &self.settings, self.cubes_max),
+            Sent::Message(message) => {
+                decode::change_message(message, &self.settings, self.cubes_max)
+            }
         }
     }
 
@@ -108,8 +110,8 @@ impl Atomic {
             Sent::Json(body) => {
                 decode::change_faults(body, &self.settings, self.cubes_max).map(|_| ())
             }
-            Sent::Protobuf(body) => decode::body_duplicates(body),
-            Sent::Message(message) => decode::message_duplicates(message),
+            Sent::Protobuf(body) => decode::message_duplicates(body),
+            Sent::Message(message) => decode::change_message_duplicates(message),
         }
     }
 

@@ -11,8 +11,8 @@ use super::convert::{Settings, mass_properties};
 use super::problem::{Code, Fault, Problem};
 use crate::geometry::{CubeId, Place};
 use crate::service::{
-    Applied, Counting, Motion, Operations, Published, Scene, SceneName, Seq, Service, ServiceError,
-    Submission,
+    Applied, Counting, HistoryRow, Motion, Operations, Published, Scene, SceneName, Seq, Service,
+    ServiceError, Submission,
 };
 
 /// A scene with the settings that [`create`] gave it.
@@ -128,6 +128,63 @@ async fn wait_for(scene: &Scene, seq: Seq, time: Duration) -> Result<Published, 
         return Err(Problem::new(Code::WaitTimeout, detail).with("newest", newest));
     };
     Ok(published)
+}
+
+/// Rows of the history that are read at once.
+const HISTORY_PAGE_ROWS: usize = 1_000;
+
+/// Rows of the history on their way out, a page at a time.
+pub(super) struct HistoryRows {
+    scene: Arc<Scene>,
+    /// Where to go on; none when there are no more.
+    pub(super) next: Option<u64>,
+    pub(super) to: u64,
+    moves: Option<[u64; 2]>,
+    left: u64,
+}
+
+impl HistoryRows {
+    /// Rows from one seq to another, and of moves from one number to another; what is left out has no bound.
+    pub(super) fn new(
+        scene: Arc<Scene>,
+        [from, to]: [Option<u64>; 2],
+        [move_from, move_to]: [Option<u64>; 2],
+        limit: u64,
+    ) -> Result<Self, Problem> {
+        let newest = scene.published()?.seq.0;
+        let moves = (move_from.is_some() || move_to.is_some())
+            .then(|| [move_from.unwrap_or(0), move_to.unwrap_or(u64::MAX)]);
+        Ok(Self {
+            scene,
+            next: Some(from.unwrap_or(1).max(1)),
+            to: to.unwrap_or(newest).min(newest),
+            moves,
+            left: limit,
+        })
+    }
+
+    /// The next rows; none when there are no more, or as many as were asked for.
+    pub(super) async fn page(&mut self) -> Result<Option<Vec<HistoryRow>>, ServiceError> {
+        let Some(from) = self.next.filter(|from| *from <= self.to) else {
+            self.next = None;
+            return Ok(None);
+        };
+        let limit = usize::try_from(self.left)
+            .map_or(HISTORY_PAGE_ROWS, |left| left.min(HISTORY_PAGE_ROWS));
+        if limit == 0 {
+            return Ok(None);
+        }
+        let rows = self
+            .scene
+            .history(Seq(from), Seq(self.to), self.moves, limit)
+            .await?;
+        self.left -= rows.len() as u64;
+        let last = rows.last().filter(|_| rows.len() == limit);
+        self.next = last
+            .map(|row| row.seq.0 + 1)
+            .filter(|next| *next <= self.to);
+        Ok(Some(rows))
+    }
 }
 
 /// Where a cube is.

@@ -157,14 +157,14 @@ pub fn line(text: &[u8], settings: &Settings) -> Result<Op, Problem> {
 /// Reads an atomic change from a body that is a message `union3d.v1.Change`.
 /// # Errors
 /// [`Code::BadProtobuf`], [`Code::TooLarge`] above `cubes_max`, or [`Code::Invalid`] with every fault.
-pub fn body(body: &[u8], settings: &Settings, cubes_max: usize) -> Result<Decoded, Problem> {
-    message(&decoded(body)?, settings, cubes_max)
+pub fn message(body: &[u8], settings: &Settings, cubes_max: usize) -> Result<Decoded, Problem> {
+    change_message(&decoded(body)?, settings, cubes_max)
 }
 
-/// Reads an atomic change from a message.
+/// As [`message`], of a message that has been decoded.
 /// # Errors
-/// [`Code::TooLarge`] above `cubes_max`, or [`Code::Invalid`] with every fault.
-pub fn message(
+/// As [`message`].
+pub fn change_message(
     message: &proto::Change,
     settings: &Settings,
     cubes_max: usize,
@@ -237,7 +237,7 @@ pub fn message(
 /// Looks for ids that stand at two places of a message.
 /// # Errors
 /// [`Code::Invalid`] with all of them.
-pub fn message_duplicates(message: &proto::Change) -> Result<(), Problem> {
+pub fn change_message_duplicates(message: &proto::Change) -> Result<(), Problem> {
     let mut faults = Faults::default();
     let mut seen = HashMap::new();
     let corners = message.x.iter().zip(&message.y).zip(&message.z);
@@ -260,11 +260,11 @@ pub fn message_duplicates(message: &proto::Change) -> Result<(), Problem> {
     Err(faults.into_problem())
 }
 
-/// As [`message_duplicates`], of a body.
+/// As [`change_message_duplicates`], of a body.
 /// # Errors
-/// As [`message_duplicates`].
-pub fn body_duplicates(body: &[u8]) -> Result<(), Problem> {
-    message_duplicates(&decoded(body)?)
+/// As [`change_message_duplicates`].
+pub fn message_duplicates(body: &[u8]) -> Result<(), Problem> {
+    change_message_duplicates(&decoded(body)?)
 }
 
 fn decoded(body: &[u8]) -> Result<proto::Change, Problem> {
@@ -338,6 +338,54 @@ fn checked<'a>(
     Err(faults.into_problem())
 }
 
+/// Reads the settings of a scene from a message.
+/// # Errors
+/// [`Code::Invalid`] with every fault.
+pub fn settings_message(message: &proto::SceneSettings) -> Result<Settings, Problem> {
+    let mut faults = Faults::default();
+    let mut unknown = |name: &str, value: i32| {
+        let fault = Fault::at(
+            format!("/{name}"),
+            "is not a value that is known here",
+            None,
+        );
+        faults.push(Fault {
+            value: Some(value.into()),
+            ..fault
+        });
+    };
+    let mut wanted = WantedSettings::with_edge(message.edge);
+    wanted.steps_per_unit = message
+        .steps_per_unit
+        .map_or(wanted.steps_per_unit, f64::from);
+    wanted.unit = message.unit.clone().unwrap_or(wanted.unit);
+    wanted.density = message.density.unwrap_or(wanted.density);
+    match proto::Anchor::try_from(message.anchor) {
+        Ok(proto::Anchor::Unspecified) => {}
+        Ok(proto::Anchor::Corner) => wanted.anchor = Anchor::Corner,
+        Ok(proto::Anchor::Center) => wanted.anchor = Anchor::Center,
+        Err(_) => unknown("anchor", message.anchor),
+    }
+    match proto::Rounding::try_from(message.rounding) {
+        Ok(proto::Rounding::Unspecified) => {}
+        Ok(proto::Rounding::Nearest) => wanted.rounding = Rounding::Nearest,
+        Ok(proto::Rounding::Reject) => wanted.rounding = Rounding::Reject,
+        Err(_) => unknown("rounding", message.rounding),
+    }
+    if let Some(stock) = &message.stock {
+        let mut corner = |name: &str, corner: Option<proto::Vector>| {
+            if corner.is_none() {
+                let place = format!("/stock/{name}");
+                faults.push(Fault::at(place, "is missing", None));
+            }
+            corner.map(|corner| [corner.x, corner.y, corner.z])
+        };
+        let (min, max) = (corner("min", stock.min), corner("max", stock.max));
+        wanted.stock = min.zip(max).map(|(min, max)| StockDocument { min, max });
+    }
+    checked(wanted, faults, |_| None)
+}
+
 /// Reads a block of material; a fault for each member that cannot be read.
 fn stock(raw: &RawValue, faults: &mut Faults) -> Option<StockDocument> {
     let members = Members::read(raw, "/stock", &["min", "max"], faults)?;
@@ -356,52 +404,6 @@ fn stock(raw: &RawValue, faults: &mut Faults) -> Option<StockDocument> {
         min: min?,
         max: max?,
     })
-}
-
-/// A corner of a box; what is left out is no number, and so a fault.
-fn corner(sent: Option<&proto::Vector>) -> [f64; 3] {
-    sent.map_or([f64::NAN; 3], |corner| [corner.x, corner.y, corner.z])
-}
-
-/// Reads the settings of a scene from a message.
-/// # Errors
-/// [`Code::Invalid`] with every fault.
-pub fn settings_message(message: &proto::SceneSettings) -> Result<Settings, Problem> {
-    let mut faults = Faults::default();
-    let mut unknown = |name: &str, value: i32| {
-        let fault = Fault::at(
-            format!("/{name}"),
-            "is not a value that is known here",
-            None,
-        );
-        faults.push(Fault {
-            value: Some(value.into()),
-            ..fault
-        });
-    };
-    let mut wanted = WantedSettings::with_edge(message.edge);
-    wanted.stock = message.stock.as_ref().map(|stock| StockDocument {
-        min: corner(stock.min.as_ref()),
-        max: corner(stock.max.as_ref()),
-    });
-    wanted.steps_per_unit = message
-        .steps_per_unit
-        .map_or(wanted.steps_per_unit, f64::from);
-    wanted.unit = message.unit.clone().unwrap_or(wanted.unit);
-    wanted.density = message.density.unwrap_or(wanted.density);
-    match proto::Anchor::try_from(message.anchor) {
-        Ok(proto::Anchor::Unspecified) => {}
-        Ok(proto::Anchor::Corner) => wanted.anchor = Anchor::Corner,
-        Ok(proto::Anchor::Center) => wanted.anchor = Anchor::Center,
-        Err(_) => unknown("anchor", message.anchor),
-    }
-    match proto::Rounding::try_from(message.rounding) {
-        Ok(proto::Rounding::Unspecified) => {}
-        Ok(proto::Rounding::Nearest) => wanted.rounding = Rounding::Nearest,
-        Ok(proto::Rounding::Reject) => wanted.rounding = Rounding::Reject,
-        Err(_) => unknown("rounding", message.rounding),
-    }
-    checked(wanted, faults, |_| None)
 }
 
 /// Reads what to go back to: `{"to":3}`.
@@ -1201,7 +1203,7 @@ mod tests {
         let read =
             |message: &proto::Change| outcome(message_change(&message.encode_to_vec(), &settings));
         fn message_change(body: &[u8], settings: &Settings) -> Result<Decoded, Problem> {
-            super::body(body, settings, 5)
+            message(body, settings, 5)
         }
         let mut message = proto::Change {
             delete: vec![1],
@@ -1223,7 +1225,7 @@ mod tests {
         assert_eq!(outcome(message_change(b"\xff\xff", &settings)), "400");
         message.insert_id = vec![7, 7, 7];
         (message.x, message.y, message.z) = (vec![0, 0, 1], vec![0; 3], vec![0; 3]);
-        let problem = message_duplicates(&message).unwrap_err();
+        let problem = change_message_duplicates(&message).unwrap_err();
         assert_eq!(document(problem)["errors"][0]["pointer"], "/insert_id/2");
     }
 

@@ -5,8 +5,7 @@ use crate::geometry::{CubeId, Place};
 use crate::service::{Applied, HistoryRow, Published, Scene, SceneState};
 use crate::wire::calls::incarnation;
 use crate::wire::convert::{
-    self, Anchor, EdgeLength, Exact, MassProperties, PartProperties, Rounding, Settings,
-    SettingsDocument, StockDocument, UserBounds,
+    self, Anchor, EdgeLength, Exact, Rounding, Settings, SettingsDocument, Vertices,
 };
 use crate::wire::problem::{Fault, Problem};
 use crate::wire::proto;
@@ -82,10 +81,7 @@ fn settings(document: SettingsDocument) -> proto::SceneSettings {
         density: Some(document.density),
         anchor: anchor.into(),
         rounding: rounding.into(),
-        stock: document.stock.map(|StockDocument { min, max }| proto::Box {
-            min: Some(vector(min)),
-            max: Some(vector(max)),
-        }),
+        stock: document.stock.map(|stock| bounding(stock.min, stock.max)),
     }
 }
 
@@ -101,20 +97,21 @@ pub(super) fn totals(
         Detail::Volume => {
             let totals = &published.totals;
             let stock = totals.stock.as_ref();
+            let (union, area) = (totals.measures.volume, totals.measures.area());
             let [removed, remaining] = [
                 stock.map(|stock| stock.removed.volume),
                 stock.map(|stock| stock.remaining.volume),
             ];
             let user = |steps3: i128| settings.volume_user(steps3);
             let volumes = proto::Volumes {
-                union: user(totals.measures.volume),
-                area: settings.area_user(totals.measures.area()),
+                union: user(union),
                 removed: removed.map(user),
                 remaining: remaining.map(user),
-                exact_union: totals.measures.volume.to_string(),
-                exact_area: totals.measures.area().to_string(),
+                area: settings.area_user(area),
+                exact_union: union.to_string(),
                 exact_removed: removed.map(|steps3| steps3.to_string()),
                 exact_remaining: remaining.map(|steps3| steps3.to_string()),
+                exact_area: area.to_string(),
             };
             (Some(volumes), None)
         }
@@ -155,98 +152,72 @@ pub(super) fn mass_properties(
         &published.totals,
         settings,
     );
-    let MassProperties {
-        scene,
-        seq,
-        cubes,
-        volume,
-        area,
-        edge_length,
-        mass,
-        mean_curvature,
-        centroid,
-        inertia,
-        bounds,
-        euler_characteristic,
-        vertices,
-        exact,
-        removed,
-        remaining,
-    } = shown;
-    // The union is answered like a part, its fields beside those that only it has.
-    let union = part(PartProperties {
-        volume,
-        area,
-        edge_length,
-        mass,
-        mean_curvature,
-        centroid,
-        inertia,
-        euler_characteristic,
-        vertices,
-        exact,
-    });
+    let part = |part: convert::PartProperties| proto::PartProperties {
+        volume: part.volume,
+        area: part.area,
+        edge_length: Some(edge_length(part.edge_length)),
+        mass: part.mass,
+        mean_curvature: part.mean_curvature,
+        centroid: part.centroid.map(vector),
+        inertia: Some(inertia(part.inertia)),
+        euler_characteristic: part.euler_characteristic,
+        vertices: Some(vertices(part.vertices)),
+        exact: Some(exact(part.exact)),
+    };
     proto::MassProperties {
-        scene: scene.unwrap_or_default(),
-        seq: seq.unwrap_or_default(),
-        cubes,
-        volume: union.volume,
-        area: union.area,
-        edge_length: union.edge_length,
-        mass: union.mass,
-        mean_curvature: union.mean_curvature,
-        centroid: union.centroid,
-        inertia: union.inertia,
-        bounds: bounds.map(|UserBounds { min, max }| proto::Box {
-            min: Some(vector(min)),
-            max: Some(vector(max)),
-        }),
-        euler_characteristic: union.euler_characteristic,
-        vertices: union.vertices,
-        exact: union.exact,
-        removed: removed.map(part),
-        remaining: remaining.map(part),
-    }
-}
-
-fn part(shown: PartProperties) -> proto::PartProperties {
-    let EdgeLength {
-        total,
-        convex,
-        concave,
-        crossing,
-    } = shown.edge_length;
-    let [[xx, xy, zx], [_, yy, yz], [_, _, zz]] = shown.inertia;
-    let vertices = shown.vertices;
-    proto::PartProperties {
+        scene: shown.scene.unwrap_or_default(),
+        seq: shown.seq.unwrap_or_default(),
+        cubes: shown.cubes,
         volume: shown.volume,
         area: shown.area,
-        edge_length: Some(proto::EdgeLength {
-            total,
-            convex,
-            concave,
-            crossing,
-        }),
+        edge_length: Some(edge_length(shown.edge_length)),
         mass: shown.mass,
         mean_curvature: shown.mean_curvature,
         centroid: shown.centroid.map(vector),
-        inertia: Some(proto::InertiaTensor {
-            xx,
-            yy,
-            zz,
-            xy,
-            yz,
-            zx,
-        }),
+        inertia: Some(inertia(shown.inertia)),
+        bounds: shown.bounds.map(|bounds| bounding(bounds.min, bounds.max)),
         euler_characteristic: shown.euler_characteristic,
-        vertices: Some(proto::Vertices {
-            total: vertices.total,
-            corner: vertices.corner,
-            edge_face: vertices.edge_face,
-            three_face: vertices.three_face,
-            degenerate: vertices.degenerate,
-        }),
+        vertices: Some(vertices(shown.vertices)),
         exact: Some(exact(shown.exact)),
+        removed: shown.removed.map(part),
+        remaining: shown.remaining.map(part),
+    }
+}
+
+fn bounding(min: [f64; 3], max: [f64; 3]) -> proto::Box {
+    proto::Box {
+        min: Some(vector(min)),
+        max: Some(vector(max)),
+    }
+}
+
+fn edge_length(length: EdgeLength) -> proto::EdgeLength {
+    proto::EdgeLength {
+        total: length.total,
+        convex: length.convex,
+        concave: length.concave,
+        crossing: length.crossing,
+    }
+}
+
+fn inertia([[xx, xy, zx], [_, yy, yz], [_, _, zz]]: [[f64; 3]; 3]) -> proto::InertiaTensor {
+    proto::InertiaTensor {
+        xx,
+        yy,
+        zz,
+        xy,
+        yz,
+        zx,
+    }
+}
+
+fn vertices(vertices: Vertices) -> proto::Vertices {
+    proto::Vertices {
+        total: vertices.total,
+        corner: vertices.corner,
+        edge_face: vertices.edge_face,
+        three_face: vertices.three_face,
+        degenerate: vertices.degenerate,
     }
 }
 
@@ -293,20 +264,19 @@ pub(super) fn history_row(
         totals: row.totals,
     };
     let (volumes, mass_properties) = totals(wanted, scene, settings, &published);
-    let volume_removed = settings.volume_user(row.volume_removed);
-    let duration = row.motion.duration_ns.map(convert::duration_user);
+    let removal = convert::removal(row.motion.duration_ns, row.volume_removed, settings);
     proto::GetHistoryResponse {
-        r#move: row.motion.number,
-        duration,
-        volume_removed,
-        exact_volume_removed: row.volume_removed.to_string(),
-        removal_rate: convert::removal_rate(volume_removed, duration),
         seq: row.seq.0,
         time: Some(timestamp(row.at_ms)),
         inserted: row.inserted,
         deleted: row.deleted,
         volumes,
         mass_properties,
+        r#move: row.motion.number,
+        duration: removal.duration,
+        volume_removed: removal.volume,
+        volume_removed_exact: removal.exact,
+        removal_rate: removal.rate,
     }
 }
 

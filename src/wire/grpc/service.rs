@@ -12,7 +12,7 @@ use super::{idempotency_key, status, stream};
 use crate::geometry::CubeId;
 use crate::service::{Seq, Service, ServiceError};
 use crate::wire::atomic::{Atomic, Sent};
-use crate::wire::calls::{self, within};
+use crate::wire::calls::{self, HistoryRows, within};
 use crate::wire::decode;
 use crate::wire::http::Limits;
 use crate::wire::problem::{Fault, Problem};
@@ -29,9 +29,6 @@ use crate::wire::proto::{
 
 /// Cubes of one message of a listing.
 const LISTED_CUBES: usize = 4_096;
-
-/// Rows of the history that are read at once.
-const HISTORY_ROWS: usize = 1_000;
 
 /// What the calls know.
 pub(super) struct Calls {
@@ -224,30 +221,27 @@ impl UnionService for Calls {
             move_from,
             move_to,
             detail,
+            limit,
         } = request.into_inner();
-        let moves = (move_from.is_some() || move_to.is_some())
-            .then(|| [move_from.unwrap_or(0), move_to.unwrap_or(u64::MAX)]);
-        let opened = calls::open(&self.service, &scene);
-        let (scene, settings) = answered("", opened)?.into_inner();
-        let detail = answered("", Detail::of(detail))?.into_inner();
-        let newest = answered("", scene.published().map_err(Problem::from))?.into_inner();
-        let to = Seq(to.unwrap_or(newest.seq.0)).min(newest.seq);
-        let mut from = Seq(from.unwrap_or(1).max(1));
+        let read = || {
+            let detail = Detail::of(detail)?;
+            let (scene, settings) = calls::open(&self.service, &scene)?;
+            let limit = limit.unwrap_or(u64::MAX);
+            let rows = HistoryRows::new(scene.clone(), [from, to], [move_from, move_to], limit)?;
+            Ok((detail, scene, settings, rows))
+        };
+        let (detail, scene, settings, mut rows) = answered("", read())?.into_inner();
         Ok(Response::new(Box::pin(async_stream::stream! {
-            while from <= to {
-                let rows = match scene.history(from, to, moves, HISTORY_ROWS).await {
-                    Ok(rows) => rows,
+            loop {
+                match rows.page().await {
+                    Ok(Some(page)) => for row in page {
+                        yield Ok(messages::history_row(detail, &scene, &settings, &row));
+                    },
+                    Ok(None) => return,
                     Err(error) => {
                         yield Err(status::status(&error.into(), ""));
                         return;
                     }
-                };
-                let Some(last) = rows.last() else {
-                    return;
-                };
-                from = Seq(last.seq.0 + 1);
-                for row in rows {
-                    yield Ok(messages::history_row(detail, &scene, &settings, &row));
                 }
             }
         })))

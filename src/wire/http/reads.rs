@@ -19,9 +19,9 @@ use super::{App, scenes};
 use crate::engine::{Cursor, Side};
 use crate::geometry::{CubeId, Place};
 use crate::service::{HistoryRow, Published, Scene, Seq, ServiceError};
-use crate::wire::calls;
+use crate::wire::calls::{self, HistoryRows};
 use crate::wire::convert::{
-    MassProperties, PartProperties, Settings, duration_user, mass_properties, removal_rate, rfc3339,
+    MassProperties, PartProperties, Removal, Settings, mass_properties, removal, rfc3339,
 };
 use crate::wire::problem::{Fault, Problem};
 
@@ -172,17 +172,21 @@ pub(crate) struct HistoryEntry {
 
 impl HistoryEntry {
     fn new(scene: &str, row: &HistoryRow, settings: &Settings) -> Self {
-        let duration = row.motion.duration_ns.map(duration_user);
-        let volume_removed = settings.volume_user(row.volume_removed);
+        let Removal {
+            duration,
+            volume,
+            exact,
+            rate,
+        } = removal(row.motion.duration_ns, row.volume_removed, settings);
         Self {
             time: rfc3339(row.at_ms),
             r#move: row.motion.number,
             duration,
             inserted: row.inserted,
             deleted: row.deleted,
-            volume_removed,
-            volume_removed_exact: row.volume_removed.to_string(),
-            removal_rate: removal_rate(volume_removed, duration),
+            volume_removed: volume,
+            volume_removed_exact: exact,
+            removal_rate: rate,
             totals: mass_properties(Some(scene), Some(row.seq.0), &row.totals, settings),
         }
     }
@@ -288,19 +292,10 @@ pub(super) async fn get_history(
     };
     let (from, to) = (query.number("from")?, query.number("to")?);
     let (move_from, move_to) = (query.number("move_from")?, query.number("move_to")?);
-    let moves = (move_from.is_some() || move_to.is_some())
-        .then(|| [move_from.unwrap_or(0), move_to.unwrap_or(u64::MAX)]);
     let (scene, settings) = scenes::open(&app, &name)?;
-    let newest = scene.published()?.seq.0;
-    let mut rows = HistoryRows {
-        scene,
-        next: Some(from.unwrap_or(1).max(1)),
-        to: to.unwrap_or(newest).min(newest),
-        moves,
-        left: limit,
-    };
+    let mut rows = HistoryRows::new(scene, [from, to], [move_from, move_to], limit)?;
     if let Some(lines) = lines {
-        return Ok(rows.stream(name, settings, lines));
+        return Ok(stream(rows, name, settings, lines));
     }
     let mut changes = Vec::new();
     while let Some(page) = rows.page().await? {
@@ -331,71 +326,36 @@ enum Lines {
     Json,
 }
 
-/// Rows of the history on their way out, a page at a time.
-struct HistoryRows {
-    scene: Arc<Scene>,
-    /// Where to go on; none when there are no more.
-    next: Option<u64>,
-    to: u64,
-    moves: Option<[u64; 2]>,
-    left: u64,
-}
-
-impl HistoryRows {
-    /// The next rows; none when there are no more, or as many as were asked for.
-    async fn page(&mut self) -> Result<Option<Vec<HistoryRow>>, ServiceError> {
-        let Some(from) = self.next.filter(|from| *from <= self.to) else {
-            self.next = None;
-            return Ok(None);
-        };
-        let limit =
-            usize::try_from(self.left).map_or(HISTORY_LIMIT, |left| left.min(HISTORY_LIMIT));
-        if limit == 0 {
-            return Ok(None);
+/// All of them as lines. What fails on the way breaks the answer off: its status has been sent.
+fn stream(mut rows: HistoryRows, name: String, settings: Settings, lines: Lines) -> Response {
+    let kind = match lines {
+        Lines::Csv => "text/csv; charset=utf-8",
+        Lines::Json => "application/x-ndjson",
+    };
+    let body = async_stream::try_stream! {
+        if matches!(lines, Lines::Csv) {
+            yield Bytes::from(CSV_HEADER.join(",") + "\n");
         }
-        let rows = self
-            .scene
-            .history(Seq(from), Seq(self.to), self.moves, limit)
-            .await?;
-        self.left -= rows.len() as u64;
-        let last = rows.last().filter(|_| rows.len() == limit);
-        self.next = last
-            .map(|row| row.seq.0 + 1)
-            .filter(|next| *next <= self.to);
-        Ok(Some(rows))
-    }
-
-    /// All of them as lines. What fails on the way breaks the answer off: its status has been sent.
-    fn stream(mut self, name: String, settings: Settings, lines: Lines) -> Response {
-        let kind = match lines {
-            Lines::Csv => "text/csv; charset=utf-8",
-            Lines::Json => "application/x-ndjson",
-        };
-        let body = async_stream::try_stream! {
-            if matches!(lines, Lines::Csv) {
-                yield Bytes::from(CSV_HEADER.join(",") + "\n");
-            }
-            while let Some(page) = self.page().await? {
-                let mut text = String::with_capacity(page.len() * 512);
-                for row in &page {
-                    let entry = HistoryEntry::new(&name, row, &settings);
-                    match lines {
-                        Lines::Csv => text += &entry.cells().join(","),
-                        Lines::Json => text += &serde_json::to_string(&entry).expect("numbers and strings are JSON"),
-                    }
-                    text.push('\n');
+        while let Some(page) = rows.page().await? {
+            let mut text = String::with_capacity(page.len() * 512);
+            for row in &page {
+                let entry = HistoryEntry::new(&name, row, &settings);
+                match lines {
+                    Lines::Csv => text += &entry.cells().join(","),
+                    Lines::Json => text += &serde_json::to_string(&entry).expect("numbers and strings are JSON"),
                 }
-                yield Bytes::from(text);
+                text.push('\n');
             }
-        };
-        let body = Body::from_stream(body.map_err(|error: ServiceError| error));
-        (
-            VARY,
-            [(header::CONTENT_TYPE, HeaderValue::from_static(kind))],
-            body,
-        )
-            .into_response()
-    }
+            yield Bytes::from(text);
+        }
+    };
+    let body = Body::from_stream(body.map_err(|error: ServiceError| error));
+    (
+        VARY,
+        [(header::CONTENT_TYPE, HeaderValue::from_static(kind))],
+        body,
+    )
+        .into_response()
 }
 
 /// A cube.

@@ -33,6 +33,8 @@ impl Server {
                 "serve",
                 "--http",
                 "127.0.0.1:0",
+                "--grpc",
+                "127.0.0.1:0",
                 "--log-filter",
                 "warn,tower_http=off",
             ])

@@ -1,0 +1,7 @@
+//! The gRPC API, from outside: a real server, a real client; HTTP beside it on the same service.
+
+mod calls;
+mod operation;
+mod refusals;
+mod server;
+mod streams;

@@ -1,0 +1,152 @@
+//! Health, reflection, metrics and the end.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use tokio_stream::StreamExt;
+use tonic::Code;
+use tonic_health::pb::HealthCheckRequest;
+use tonic_health::pb::health_check_response::ServingStatus;
+use tonic_health::pb::health_client::HealthClient;
+use tonic_reflection::pb::v1::server_reflection_client::ServerReflectionClient;
+use tonic_reflection::pb::v1::server_reflection_request::MessageRequest;
+use tonic_reflection::pb::v1::server_reflection_response::MessageResponse;
+use tonic_reflection::pb::v1::{ListServiceResponse, ServerReflectionRequest};
+use union3d::service::{FaultStep, ServiceConfig};
+use union3d::wire::http::Limits;
+use union3d::wire::proto::WatchMassPropertiesRequest;
+
+use crate::server::{PATIENCE, Server, channel, refused, row};
+
+#[tokio::test]
+async fn it_serves_only_when_every_scene_is_replayed() {
+    let server = Server::start().await;
+    server.scene("part", 6).await;
+    server.change("part", row(1..10)).await.unwrap();
+    let data = server.stop().await;
+
+    let hold = Arc::new(AtomicBool::new(true));
+    let held = Arc::clone(&hold);
+    let faults = move |step| {
+        while step == FaultStep::Open && held.load(Ordering::Acquire) {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        None
+    };
+    let config = ServiceConfig::new(data.path());
+    let server = Server::on(
+        data,
+        Limits::default(),
+        config,
+        Some(Arc::new(faults)),
+        false,
+    )
+    .await;
+    let mut health = HealthClient::new(channel(&server.grpc).await);
+    for name in ["", "union3d.v1.UnionService"] {
+        let request = HealthCheckRequest {
+            service: name.to_owned(),
+        };
+        let answer = health.check(request).await.unwrap().into_inner();
+        assert_eq!(answer.status(), ServingStatus::NotServing, "{name:?}");
+    }
+    let replayed = server.change("part", row(1..2)).await.unwrap_err();
+    refused(&replayed, Code::Unavailable, "recovering");
+    let request = HealthCheckRequest {
+        service: String::new(),
+    };
+    let mut watch = health.watch(request).await.unwrap().into_inner();
+    hold.store(false, Ordering::Release);
+    let shown = async {
+        while watch.next().await.unwrap().unwrap().status() != ServingStatus::Serving {}
+        assert_eq!(server.totals("part").await.cubes, 9);
+        server.draining.cancel();
+        while watch.next().await.unwrap().unwrap().status() != ServingStatus::NotServing {}
+    };
+    tokio::time::timeout(PATIENCE, shown).await.unwrap();
+}
+
+#[tokio::test]
+async fn it_describes_itself() {
+    let server = Server::start().await;
+    let mut client = ServerReflectionClient::new(channel(&server.grpc).await);
+    let mut ask = async |question| {
+        let request = ServerReflectionRequest {
+            host: String::new(),
+            message_request: Some(question),
+        };
+        let mut answers = client
+            .server_reflection_info(tokio_stream::once(request))
+            .await
+            .unwrap()
+            .into_inner();
+        answers
+            .next()
+            .await
+            .unwrap()
+            .unwrap()
+            .message_response
+            .unwrap()
+    };
+    let listed = ask(MessageRequest::ListServices(String::new())).await;
+    let MessageResponse::ListServicesResponse(ListServiceResponse { service }) = listed else {
+        panic!("{listed:?}");
+    };
+    let names: Vec<_> = service.iter().map(|service| &*service.name).collect();
+    assert!(names.contains(&"union3d.v1.UnionService"), "{names:?}");
+    assert!(names.contains(&"grpc.health.v1.Health"), "{names:?}");
+    let symbol = "union3d.v1.UnionService.StreamChanges".to_owned();
+    let found = ask(MessageRequest::FileContainingSymbol(symbol)).await;
+    assert!(
+        matches!(found, MessageResponse::FileDescriptorResponse(_)),
+        "{found:?}"
+    );
+}
+
+#[tokio::test]
+async fn calls_are_counted_by_name_and_status() {
+    let server = Server::start().await;
+    server.scene("counted", 6).await;
+    server.change("counted", row(1..2)).await.unwrap();
+    server.change("nowhere", row(1..2)).await.unwrap_err();
+    let text = reqwest::get(format!("{}/metrics", server.http))
+        .await
+        .unwrap();
+    let text = text.text().await.unwrap();
+    for series in [
+        r#"union3d_grpc_requests_total{method="ApplyChange",code="Ok"}"#,
+        r#"union3d_grpc_requests_total{method="ApplyChange",code="NotFound"}"#,
+        r#"union3d_grpc_request_duration_seconds_count{method="CreateScene"}"#,
+    ] {
+        assert!(text.contains(series), "{series} is not in {text}");
+    }
+}
+
+#[tokio::test]
+async fn draining_ends_the_streams_and_then_the_server() {
+    let server = Server::start().await;
+    server.scene("part", 6).await;
+    let watch = WatchMassPropertiesRequest {
+        scene: "part".to_owned(),
+    };
+    let mut watch = server
+        .client()
+        .watch_mass_properties(watch)
+        .await
+        .unwrap()
+        .into_inner();
+    watch.next().await.unwrap().unwrap();
+    server.draining.cancel();
+    let end = loop {
+        match watch.next().await.unwrap() {
+            Ok(_) => {}
+            Err(end) => break end,
+        }
+    };
+    refused(&end, Code::Unavailable, "shutting-down");
+    tokio::time::timeout(PATIENCE, server.serving)
+        .await
+        .unwrap()
+        .unwrap();
+}
