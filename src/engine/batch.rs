@@ -122,7 +122,7 @@ impl Engine {
                 }
             }
         }
-        self.visible.settle(touched);
+        self.visible.settle(&touched);
         for plan in plans {
             for index in plan.covered {
                 let (id, place) = cubes[index];
@@ -171,7 +171,7 @@ impl Engine {
         for leaf in &touched {
             self.visible.remove_all_fresh(*leaf);
         }
-        self.visible.settle(touched);
+        self.visible.settle(&touched);
         for found in &found {
             if let Some(sum) = &found.sum {
                 self.retract(sum);
