@@ -18,11 +18,11 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use crate::geometry::{CubeId, Place};
 
-use super::bins::BinKey;
+use super::Engine;
+use super::grid::{Grid, Leaf};
 use super::marginal::{Difference, Kernel, Span};
 use super::neighbours::Neighbours;
 use super::scan::prefetch;
-use super::{Engine, Grid};
 
 /// From so many cubes on, ordering them pays.
 pub(super) const BATCH_MIN: usize = 32;
@@ -69,7 +69,7 @@ struct Found {
     /// The sum of the differences.
     sum: Option<Difference>,
     /// Fresh cubes that change nothing; those of one bin one after the other, in the order of their index.
-    covered: Vec<(BinKey, usize)>,
+    covered: Vec<(Leaf, usize)>,
     /// Cubes that go and leave something bare, with the number of boxes around that.
     bare: Vec<(Place, usize)>,
     boxes: Vec<Span>,
@@ -109,30 +109,26 @@ impl Engine {
                 self.add(sum);
             }
             // From the last one back: what takes the place of a removed one has been looked at.
-            for (key, index) in found.covered.into_iter().rev() {
-                let (place, id) = self.visible.remove_fresh(key, index);
+            for (leaf, index) in found.covered.into_iter().rev() {
+                let (place, id) = self.visible.remove_fresh(leaf, index);
                 self.hidden.insert(place, id);
             }
         }
-        for key in touched {
-            let Some(bin) = self.visible.bin(key) else {
-                continue;
-            };
-            if self.certificates.are_kept() {
+        if self.certificates.are_kept() {
+            for bin in touched.iter().filter_map(|leaf| self.visible.bin(*leaf)) {
                 for index in bin.len() - bin.fresh()..bin.len() {
                     let place = Place::from_checked(bin.corner(index));
                     self.certificates.certify(place);
                 }
             }
-            self.visible.settle(key);
         }
+        self.visible.settle(&touched);
         for plan in plans {
             for index in plan.covered {
                 let (id, place) = cubes[index];
                 self.hidden.insert(place, id);
             }
         }
-        self.visible.review();
     }
 
     /// Deletes cubes whose ids are no longer in the table.
@@ -172,10 +168,10 @@ impl Engine {
             }
         }
         let found = self.evaluate(&touched, count, self.hidden.len() > 0);
-        for key in touched {
-            self.visible.remove_all_fresh(key);
+        for leaf in &touched {
+            self.visible.remove_all_fresh(*leaf);
         }
-        self.visible.review();
+        self.visible.settle(&touched);
         for found in &found {
             if let Some(sum) = &found.sum {
                 self.retract(sum);
@@ -228,12 +224,13 @@ impl Engine {
             &mut self.helpers[..cubes.len().div_ceil(size)],
             |number, _| {
                 let part = cubes.iter().enumerate().skip(number * size).take(size);
-                let mut plan = Plan::default();
-                plan.order = part
-                    .map(|(index, (_, place))| codes.code(*place, index))
-                    .collect();
-                plan.order.sort_unstable();
-                plan
+                let codes = part.map(|(index, (_, place))| codes.code(*place, index));
+                let mut order: Vec<u64> = codes.collect();
+                order.sort_unstable();
+                Plan {
+                    order,
+                    covered: Vec::new(),
+                }
             },
         )
     }
@@ -257,7 +254,7 @@ impl Engine {
 
     /// Evaluates the fresh cubes, `count` in all, of the bins that have any; with the boxes around what they would leave
     /// bare when asked to.
-    fn evaluate(&mut self, touched: &[BinKey], count: usize, boxes: bool) -> Vec<Found> {
+    fn evaluate(&mut self, touched: &[Leaf], count: usize, boxes: bool) -> Vec<Found> {
         let size = self.share(count);
         let visible = &self.visible;
         let next = AtomicUsize::new(0);
@@ -268,8 +265,8 @@ impl Engine {
                 let Some(rest) = touched.get(first..).filter(|rest| !rest.is_empty()) else {
                     return found;
                 };
-                for key in rest.iter().take(BINS_AT_ONCE) {
-                    found.add_bin(visible, *key, helper, boxes);
+                for leaf in rest.iter().take(BINS_AT_ONCE) {
+                    found.add_bin(visible, *leaf, helper, boxes);
                 }
             }
         })
@@ -277,11 +274,11 @@ impl Engine {
 }
 
 impl Found {
-    fn add_bin(&mut self, visible: &Grid, key: BinKey, helper: &mut Helper, boxes: bool) {
-        let bin = visible.bin(key).expect("a touched bin has fresh cubes");
+    fn add_bin(&mut self, visible: &Grid, leaf: Leaf, helper: &mut Helper, boxes: bool) {
+        let bin = visible.bin(leaf).expect("a touched bin has fresh cubes");
         for index in bin.len() - bin.fresh()..bin.len() {
             let place = Place::from_checked(bin.corner(index));
-            visible.gather_before(key, index, place.corner(), &mut helper.neighbours);
+            visible.gather_before(leaf, index, place.corner(), &mut helper.neighbours);
             let difference = if boxes {
                 let (neighbours, uncovered) = (&helper.neighbours, &mut helper.uncovered);
                 helper.kernel.uncovered(place, neighbours, uncovered)
@@ -289,7 +286,7 @@ impl Found {
                 helper.kernel.marginal(place, &helper.neighbours)
             };
             let Some(difference) = difference else {
-                self.covered.push((key, index));
+                self.covered.push((leaf, index));
                 continue;
             };
             match &mut self.sum {

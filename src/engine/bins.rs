@@ -3,6 +3,7 @@
 //! ```text
 //!   hash of (x, y, z) ──> one of 64 tables ──> slot, linear probing ──> Bin { key, len, words }
 //!   words   x x x x . .   y y y y . .   z z z z . .   fresh   ids: low halves, high halves
+//!           none in a bin that is divided: its cubes are in the eight bins of the next level
 //! ```
 //!
 //! The corners of a bin lie side by side, apart from the ids: a query reads nothing else. A table grows and shrinks alone,
@@ -36,9 +37,9 @@ impl BinKey {
 #[repr(align(32))]
 pub(super) struct Bin {
     key: BinKey,
-    /// Cubes; 0 in a slot without a bin.
+    /// Cubes, those of the bins it is divided into included; 0 in a slot without a bin.
     len: u32,
-    /// Five columns of `capacity` elements, and the number of fresh cubes behind the third.
+    /// Five columns of `capacity` elements, and the number of fresh cubes behind the third. Empty when divided.
     words: Box<[i32]>,
 }
 
@@ -67,6 +68,11 @@ impl Bin {
     }
 
     #[inline]
+    pub(super) fn is_divided(&self) -> bool {
+        self.words.is_empty()
+    }
+
+    #[inline]
     fn capacity(&self) -> usize {
         self.words.len() / 5
     }
@@ -81,6 +87,12 @@ impl Bin {
 
     pub(super) fn corner(&self, index: usize) -> [i32; 3] {
         self.corners().at(index)
+    }
+
+    /// The coordinates of all cubes along one axis.
+    pub(super) fn column(&self, axis: usize) -> &[i32] {
+        let first = axis * self.capacity();
+        &self.words[first..first + self.len()]
     }
 
     pub(super) fn id(&self, index: usize) -> CubeId {
@@ -212,17 +224,19 @@ impl Bin {
     }
 }
 
-/// The bins of a grid.
+/// The bins of one level of a grid.
 #[derive(Debug)]
 pub(super) struct Bins {
     tables: Box<[Table]>,
     /// Bins that there are.
     len: usize,
+    /// Those of them that are divided.
+    divided: usize,
     /// Words of all bins.
     words: usize,
 }
 
-/// Tables of a grid: a power of two.
+/// Tables of a level: a power of two.
 const TABLES: usize = 64;
 /// Least slots of a table that has any.
 const SLOTS_MIN: usize = 4;
@@ -235,13 +249,11 @@ struct Table {
     used: usize,
 }
 
-/// What a change of one bin did to the bins.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(super) enum Change {
-    /// It holds another number of cubes.
-    Kept,
-    /// The bin is new, or is gone.
-    Bin,
+/// A position in a walk over all bins that goes on while they change: some may be met twice or not at all.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Walk {
+    table: usize,
+    slot: usize,
 }
 
 impl Bins {
@@ -249,6 +261,7 @@ impl Bins {
         Self {
             tables: vec![Table::default(); TABLES].into_boxed_slice(),
             len: 0,
+            divided: 0,
             words: 0,
         }
     }
@@ -286,64 +299,141 @@ impl Bins {
         prefetch(&table.slots, table.home(hash));
     }
 
-    /// Puts a cube into its bin, as a fresh one or not; says how many fresh ones there are now.
-    pub(super) fn push(
-        &mut self,
-        key: BinKey,
-        corner: [i32; 3],
-        id: CubeId,
-        fresh: usize,
-    ) -> (Change, usize) {
-        let hash = key.hash();
-        let table = &mut self.tables[table_of(hash)];
-        let (slot, change) = match table.find(key, hash) {
-            Ok(slot) => (slot, Change::Kept),
-            Err(slot) => {
-                let slot = table.vacate(slot, key, hash);
-                self.len += 1;
-                (slot, Change::Bin)
-            }
-        };
-        let bin = &mut table.slots[slot];
-        let words = bin.words.len();
-        bin.push(corner, id);
-        self.words += bin.words.len() - words;
-        if fresh == 0 {
-            return (change, 0);
-        }
-        let fresh = bin.fresh() + fresh;
-        bin.set_fresh(fresh);
-        (change, fresh)
+    /// How many of them are divided.
+    pub(super) fn divided(&self) -> usize {
+        self.divided
     }
 
-    /// Removes the cube at `index` of a bin.
-    pub(super) fn swap_remove(&mut self, key: BinKey, index: usize) -> Change {
+    /// Counts a cube that comes to the bins below a divided one. False when the bin is none.
+    #[inline]
+    pub(super) fn count_in(&mut self, key: BinKey) -> bool {
+        let hash = key.hash();
+        let table = &mut self.tables[table_of(hash)];
+        let Ok(slot) = table.find(key, hash) else {
+            return false;
+        };
+        let bin = &mut table.slots[slot];
+        let divided = bin.is_divided();
+        bin.len += u32::from(divided);
+        divided
+    }
+
+    /// Counts a cube that goes from the bins below a divided one, which goes with the last of them.
+    pub(super) fn count_out(&mut self, key: BinKey) {
+        let bin = self
+            .get_mut(key)
+            .expect("a divided bin is above the others");
+        debug_assert!(bin.is_divided(), "cubes are in one bin each");
+        if bin.len == 1 {
+            self.take(key);
+        } else {
+            bin.len -= 1;
+        }
+    }
+
+    /// Puts a cube into a bin that is not divided; says how many are in it now.
+    pub(super) fn push(&mut self, key: BinKey, corner: [i32; 3], id: CubeId) -> usize {
+        let bin = self.entry(key);
+        let words = bin.words.len();
+        bin.push(corner, id);
+        let (len, words) = (bin.len(), bin.words.len() - words);
+        self.words += words;
+        len
+    }
+
+    /// The same for one that takes part in a batch; says how many such cubes are in it now.
+    pub(super) fn push_fresh(&mut self, key: BinKey, corner: [i32; 3], id: CubeId) -> usize {
+        self.push(key, corner, id);
+        let bin = self.get_mut(key).expect("it holds the cube");
+        let fresh = bin.fresh() + 1;
+        bin.set_fresh(fresh);
+        fresh
+    }
+
+    fn entry(&mut self, key: BinKey) -> &mut Bin {
+        let hash = key.hash();
+        let table = &mut self.tables[table_of(hash)];
+        let slot = match table.find(key, hash) {
+            Ok(slot) => slot,
+            Err(slot) => {
+                self.len += 1;
+                table.vacate(slot, key, hash)
+            }
+        };
+        &mut table.slots[slot]
+    }
+
+    /// Makes a divided bin with so many cubes below it.
+    pub(super) fn divide(&mut self, key: BinKey, below: usize) {
+        let len = u32::try_from(below).expect("there are at most 2^31 cubes");
+        let bin = self.entry(key);
+        debug_assert!(
+            bin.len == 0 && bin.words.is_empty(),
+            "there was no such bin"
+        );
+        bin.len = len;
+        self.divided += 1;
+    }
+
+    /// Takes a bin away.
+    pub(super) fn take(&mut self, key: BinKey) -> Option<Bin> {
+        let hash = key.hash();
+        let table = &mut self.tables[table_of(hash)];
+        let slot = table.find(key, hash).ok()?;
+        let bin = table.remove(slot);
+        self.len -= 1;
+        self.divided -= usize::from(bin.is_divided());
+        self.words -= bin.words.len();
+        Some(bin)
+    }
+
+    /// Removes the cube at `index` of a bin; says how many are left.
+    pub(super) fn swap_remove(&mut self, key: BinKey, index: usize) -> usize {
         let hash = key.hash();
         let table = &mut self.tables[table_of(hash)];
         let slot = table
             .find(key, hash)
             .expect("the cube was found in the bin");
         let bin = &mut table.slots[slot];
+        if bin.len == 1 {
+            self.take(key);
+            return 0;
+        }
         let words = bin.words.len();
         bin.swap_remove(index);
-        if bin.len > 0 {
-            self.words -= words - bin.words.len();
-            return Change::Kept;
-        }
-        self.words -= words;
-        self.len -= 1;
-        table.remove(slot);
-        Change::Bin
+        self.words -= words - bin.words.len();
+        bin.len()
     }
 
+    /// The next bin of a walk among some slots; none and false when it has come to the end.
+    pub(super) fn next(&self, walk: &mut Walk) -> (Option<&Bin>, bool) {
+        const SLOTS_AT_ONCE: usize = 16;
+        for _ in 0..SLOTS_AT_ONCE {
+            let Some(table) = self.tables.get(walk.table) else {
+                return (None, false);
+            };
+            match table.slots.get(walk.slot) {
+                None => {
+                    *walk = Walk {
+                        table: walk.table + 1,
+                        slot: 0,
+                    }
+                }
+                Some(bin) => {
+                    walk.slot += 1;
+                    if bin.len > 0 {
+                        return (Some(bin), true);
+                    }
+                }
+            }
+        }
+        (None, true)
+    }
+
+    /// The bins that are not divided.
     pub(super) fn iter(&self) -> impl Iterator<Item = &Bin> {
         let slots = self.tables.iter().flat_map(|table| &table.slots);
-        slots.filter(|bin| bin.len > 0)
-    }
-
-    pub(super) fn into_bins(self) -> impl Iterator<Item = Bin> {
-        let slots = self.tables.into_iter().flat_map(|table| table.slots);
-        slots.filter(|bin| bin.len > 0)
+        slots.filter(|bin| bin.len > 0 && !bin.is_divided())
     }
 
     /// Bytes of the tables and of what the bins hold, without the allocator's own. O(1).
@@ -395,7 +485,7 @@ impl Table {
     }
 
     /// Takes a bin away. Those behind it that would rather be here move up, so that no trace of it is left.
-    fn remove(&mut self, slot: usize) {
+    fn remove(&mut self, slot: usize) -> Bin {
         let count = self.slots.len();
         let mut gap = slot;
         let mut next = slot;
@@ -419,7 +509,7 @@ impl Table {
                 gap = next;
             }
         }
-        self.slots[gap] = Bin::vacant();
+        let removed = std::mem::replace(&mut self.slots[gap], Bin::vacant());
         self.used -= 1;
         if self.used * 4 < count {
             let fewer = if self.used == 0 {
@@ -431,6 +521,7 @@ impl Table {
                 self.resize(fewer);
             }
         }
+        removed
     }
 
     fn resize(&mut self, count: usize) {

@@ -1,255 +1,283 @@
-//! The least and greatest coordinate of the cubes along each axis: exact after every deletion, and free of charge for
+//! The least and greatest coordinate of the cubes along each axis: exact after every deletion, and nearly free of charge for
 //! changes that touch neither.
 //!
-//! Only when the outermost cube goes is there something to do. Then the bins at that end are looked at: the *front*, a
-//! sorted part of all bins beyond a certain layer, and the *rim*, the outermost coordinates within its first layer. Both
-//! are kept from then on, so that cubes may go one after the other from the outside in.
+//! ```text
+//!   layers   how many cubes there are in each of some hundred slices across an axis
+//!   rim      the cubes nearest to one end, one by one, within its outermost layer; looked for when the end has gone,
+//!            and kept from then on, so that cubes may go one after the other from the outside in
+//! ```
 
-use std::collections::{BTreeMap, BTreeSet};
-
-use super::bins::{BinKey, Bins, Change};
+use std::collections::BTreeMap;
 
 /// The ends along three axes.
 #[derive(Debug)]
 pub(super) struct Extents {
-    ends: [End; 6],
-    /// Closed box of corners, when all ends are known.
-    known: Option<Box3>,
-    /// Closed box of layers that are in no front.
-    quiet: Box3,
+    axes: [Axis; 3],
+    /// Least and greatest corner, when all ends are known.
+    known: Option<[[i32; 3]; 2]>,
 }
 
-type Box3 = [[i32; 3]; 2];
-const EVERYWHERE: Box3 = [[i32::MIN; 3], [i32::MAX; 3]];
+/// The cubes along one axis.
+#[derive(Debug)]
+struct Axis {
+    /// A layer is `2^shift` steps thick.
+    shift: u32,
+    /// Which layer is counted first.
+    first: i32,
+    counts: Vec<u32>,
+    ends: [End; 2],
+}
 
-/// One end along one axis. Coordinates and layers are negated at the greater end, so that always the least counts.
+/// One end. Coordinates and layers are negated at the greater one, so that always the least counts.
 #[derive(Debug)]
 struct End {
-    axis: usize,
     greatest: bool,
-    /// The least coordinate, once it is known again.
+    /// The least coordinate, unless it has gone.
     least: Option<i32>,
-    front: Option<Front>,
+    rim: Option<Rim>,
 }
 
-/// The bins nearest to one end, and the coordinates in the outermost layer of them.
+/// The cubes nearest to one end.
 #[derive(Debug)]
-struct Front {
-    /// All bins up to layer `until`, rotated so that the layer comes first.
-    bins: BTreeSet<[i32; 3]>,
-    /// One that has grown outwards to more than this is cut to size: by another look at all bins.
-    bins_max: usize,
-    until: i32,
-    /// Which layer was looked through.
+struct Rim {
+    /// Within which layer.
     layer: i32,
-    /// Cubes by coordinate in this layer: all of them up to `rim_until`.
-    rim: BTreeMap<i32, u32>,
-    rim_until: i32,
+    /// How many at which coordinate: all up to `until`.
+    cubes: BTreeMap<i32, u32>,
+    until: i32,
 }
 
-/// A front is looked for anew when it has been used up: among so many times its bins.
-const FRONT_SHARE: usize = 64;
-const FRONT_MIN: usize = 64;
-/// The same for the rim among the cubes of its layer.
+/// Most layers of an axis: thicker ones replace them when cubes lie farther apart.
+const LAYERS_MAX: usize = 1024;
+/// A rim that has been used up is looked for anew: among so many times its cubes.
 const RIM_SHARE: usize = 64;
 const RIM_MIN: usize = 256;
 
 impl Extents {
     pub(super) fn new() -> Self {
-        let end = |number: usize| End {
-            axis: number / 2,
-            greatest: number % 2 == 1,
+        let end = |greatest| End {
+            greatest,
             least: None,
-            front: None,
+            rim: None,
+        };
+        let axis = |()| Axis {
+            shift: 0,
+            first: 0,
+            counts: Vec::new(),
+            ends: [end(false), end(true)],
         };
         Self {
-            ends: [0, 1, 2, 3, 4, 5].map(end),
+            axes: [(); 3].map(axis),
             known: None,
-            quiet: EVERYWHERE,
         }
     }
 
     /// A cube has come; `alone` when it is the only one.
     #[inline]
-    pub(super) fn insert(&mut self, corner: [i32; 3], key: BinKey, change: Change, alone: bool) {
-        let covered = self.known.is_some_and(|known| holds(&known, corner));
-        if !(covered && holds(&self.quiet, key.0)) || alone {
-            self.insert_outermost(corner, key, change, alone);
+    pub(super) fn insert(&mut self, corner: [i32; 3], alone: bool) {
+        if alone {
+            *self = Self::new();
         }
-    }
-
-    fn insert_outermost(&mut self, corner: [i32; 3], key: BinKey, change: Change, alone: bool) {
-        for end in &mut self.ends {
-            let coordinate = end.signed(corner[end.axis]);
-            if alone {
-                end.least = Some(coordinate);
-            } else if let Some(least) = &mut end.least {
-                *least = coordinate.min(*least);
+        for (axis, coordinate) in self.axes.iter_mut().zip(corner) {
+            axis.insert(coordinate, alone);
+        }
+        match &mut self.known {
+            Some([least, greatest]) => {
+                for axis in 0..3 {
+                    least[axis] = least[axis].min(corner[axis]);
+                    greatest[axis] = greatest[axis].max(corner[axis]);
+                }
             }
-            end.insert_near(coordinate, key, change);
+            None if alone => self.known = Some([corner; 2]),
+            None => {}
         }
-        self.review();
     }
 
     /// A cube has gone.
     #[inline]
-    pub(super) fn remove(&mut self, corner: [i32; 3], key: BinKey, change: Change) {
+    pub(super) fn remove(&mut self, corner: [i32; 3]) {
+        for (axis, coordinate) in self.axes.iter_mut().zip(corner) {
+            axis.remove(coordinate);
+        }
         let inside = self.known.is_some_and(|[least, greatest]| {
             (0..3).all(|axis| least[axis] < corner[axis] && corner[axis] < greatest[axis])
         });
-        if !(inside && holds(&self.quiet, key.0)) {
-            self.remove_outermost(corner, key, change);
+        if !inside {
+            self.known = None;
         }
     }
 
-    fn remove_outermost(&mut self, corner: [i32; 3], key: BinKey, change: Change) {
-        for end in &mut self.ends {
-            let coordinate = end.signed(corner[end.axis]);
-            if end.least == Some(coordinate) {
-                end.least = None;
-            }
-            end.remove_near(coordinate, key, change);
-        }
-        self.review();
-    }
-
-    fn review(&mut self) {
-        let end = |number: usize| {
-            let end = &self.ends[number];
-            Some(end.signed(end.least?))
-        };
-        let known = || Some([[end(0)?, end(2)?, end(4)?], [end(1)?, end(3)?, end(5)?]]);
-        self.known = known();
-    }
-
-    /// The bins have other keys now.
-    pub(super) fn forget_bins(&mut self) {
-        self.quiet = EVERYWHERE;
-        for end in &mut self.ends {
-            end.front = None;
-        }
-    }
-
-    /// Least and greatest coordinates by axis, for bins that are not empty.
+    /// Least and greatest corner. `within` lists the coordinates along an axis of all cubes that may lie between two.
     #[inline]
-    pub(super) fn ends(&mut self, bins: &Bins) -> [[i32; 3]; 2] {
-        match self.known {
-            Some(known) => known,
-            None => self.find(bins),
+    pub(super) fn ends<I: Iterator<Item = i32>>(
+        &mut self,
+        within: impl Fn(usize, [i32; 2]) -> I,
+    ) -> [[i32; 3]; 2] {
+        if let Some(known) = self.known {
+            return known;
         }
-    }
-
-    fn find(&mut self, bins: &Bins) -> [[i32; 3]; 2] {
-        for end in &mut self.ends {
-            if end.least.is_none() {
-                end.find(bins);
-            }
-            if let Some(front) = &end.front {
-                // The first layer that is not in the front.
-                let side = usize::from(end.greatest);
-                self.quiet[side][end.axis] = end.signed(front.until.saturating_add(1));
+        let mut known = [[0; 3]; 2];
+        for (axis, layers) in self.axes.iter_mut().enumerate() {
+            for (side, known) in known.iter_mut().enumerate() {
+                known[axis] = layers.end(side, |between| within(axis, between));
             }
         }
-        self.review();
-        self.known.expect("all ends have just been found")
+        self.known = Some(known);
+        known
     }
 }
 
-fn holds(space: &Box3, point: [i32; 3]) -> bool {
-    (0..3).all(|axis| space[0][axis] <= point[axis] && point[axis] <= space[1][axis])
+impl Axis {
+    #[inline]
+    fn insert(&mut self, coordinate: i32, alone: bool) {
+        let layer = coordinate >> self.shift;
+        let index = usize::try_from(i64::from(layer) - i64::from(self.first));
+        match index.ok().and_then(|index| self.counts.get_mut(index)) {
+            Some(count) => *count += 1,
+            None => self.reach(coordinate),
+        }
+        let layer = coordinate >> self.shift;
+        for end in &mut self.ends {
+            let signed = end.signed(coordinate);
+            match &mut end.least {
+                Some(least) => *least = signed.min(*least),
+                None if alone => end.least = Some(signed),
+                None => {}
+            }
+            if let Some(rim) = &mut end.rim
+                && rim.layer == layer
+                && signed <= rim.until
+            {
+                *rim.cubes.entry(signed).or_default() += 1;
+            }
+        }
+    }
+
+    #[inline]
+    fn remove(&mut self, coordinate: i32) {
+        let layer = coordinate >> self.shift;
+        let index = usize::try_from(i64::from(layer) - i64::from(self.first));
+        self.counts[index.expect("what goes was counted when it came")] -= 1;
+        for end in &mut self.ends {
+            let signed = end.signed(coordinate);
+            if end.least == Some(signed) {
+                end.least = None;
+            }
+            if let Some(rim) = &mut end.rim
+                && rim.layer == layer
+                && signed <= rim.until
+            {
+                let count = rim.cubes.get_mut(&signed);
+                let count = count.expect("what goes was counted when it came");
+                *count -= 1;
+                if *count == 0 {
+                    rim.cubes.remove(&signed);
+                }
+            }
+        }
+    }
+
+    /// Counts a cube in a layer beyond those there are.
+    #[cold]
+    fn reach(&mut self, coordinate: i32) {
+        loop {
+            let layer = coordinate >> self.shift;
+            if self.counts.is_empty() {
+                self.first = layer;
+            }
+            let count = i32::try_from(self.counts.len()).expect("there are few layers");
+            let first = self.first.min(layer);
+            let end = (self.first + count).max(layer + 1);
+            let needed = usize::try_from(i64::from(end) - i64::from(first));
+            let needed = needed.expect("the end is not before the first");
+            if needed <= LAYERS_MAX {
+                let before = usize::try_from(self.first - first).expect("it is not below");
+                self.counts.splice(0..0, std::iter::repeat_n(0, before));
+                self.counts.resize(needed, 0);
+                self.first = first;
+                let index = usize::try_from(layer - first).expect("it is not below the first");
+                self.counts[index] += 1;
+                return;
+            }
+            self.thicken();
+        }
+    }
+
+    /// Makes one layer of two.
+    fn thicken(&mut self) {
+        let mut counts = Vec::with_capacity(self.counts.len() / 2 + 1);
+        for (layer, count) in (self.first..).zip(&self.counts) {
+            if layer == self.first || layer % 2 == 0 {
+                counts.push(0);
+            }
+            *counts.last_mut().expect("the first layer has one") += count;
+        }
+        self.counts = counts;
+        self.first >>= 1;
+        self.shift += 1;
+        for end in &mut self.ends {
+            end.rim = None;
+        }
+    }
+
+    /// The coordinate of one end.
+    fn end<I: Iterator<Item = i32>>(&mut self, side: usize, within: impl Fn([i32; 2]) -> I) -> i32 {
+        let end = &mut self.ends[side];
+        if let Some(least) = end.least {
+            return end.signed(least);
+        }
+        let used = |count: &u32| *count > 0;
+        let index = if end.greatest {
+            self.counts.iter().rposition(used)
+        } else {
+            self.counts.iter().position(used)
+        };
+        let index = index.expect("there are cubes");
+        let layer = self.first + i32::try_from(index).expect("there are few layers");
+        let usable = end.rim.take();
+        let usable = usable.filter(|rim| rim.layer == layer && !rim.cubes.is_empty());
+        let rim = usable.unwrap_or_else(|| {
+            let lowest = layer << self.shift;
+            let between = [lowest, lowest + ((1 << self.shift) - 1)];
+            let there = within(between).filter(|coordinate| coordinate >> self.shift == layer);
+            rim_of(
+                layer,
+                there.map(|coordinate| end.signed(coordinate)).collect(),
+            )
+        });
+        let least = *rim.cubes.keys().next().expect("a counted layer has cubes");
+        end.rim = Some(rim);
+        end.least = Some(least);
+        end.signed(least)
+    }
 }
 
 impl End {
-    /// A coordinate or a layer as this end counts it, and back.
+    /// A coordinate as this end counts it, and back.
     #[inline]
-    fn signed(&self, number: i32) -> i32 {
-        if self.greatest { -number } else { number }
-    }
-
-    fn rotated(&self, key: BinKey) -> [i32; 3] {
-        let [layer, next, last] = [0, 1, 2].map(|shift| key.0[(self.axis + shift) % 3]);
-        [self.signed(layer), next, last]
-    }
-
-    fn key(&self, rotated: [i32; 3]) -> BinKey {
-        let rotated = [self.signed(rotated[0]), rotated[1], rotated[2]];
-        BinKey([0, 1, 2].map(|axis| rotated[(axis + 3 - self.axis) % 3]))
-    }
-
-    fn insert_near(&mut self, coordinate: i32, key: BinKey, change: Change) {
-        let rotated = self.rotated(key);
-        let Some(front) = &mut self.front else { return };
-        if change == Change::Bin && rotated[0] <= front.until {
-            front.bins.insert(rotated);
-        }
-        if rotated[0] == front.layer && coordinate <= front.rim_until {
-            *front.rim.entry(coordinate).or_default() += 1;
+    fn signed(&self, coordinate: i32) -> i32 {
+        if self.greatest {
+            -coordinate
+        } else {
+            coordinate
         }
     }
 
-    fn remove_near(&mut self, coordinate: i32, key: BinKey, change: Change) {
-        let rotated = self.rotated(key);
-        let Some(front) = &mut self.front else { return };
-        if change == Change::Bin && rotated[0] <= front.until {
-            front.bins.remove(&rotated);
-        }
-        if rotated[0] == front.layer && coordinate <= front.rim_until {
-            let count = front.rim.get_mut(&coordinate);
-            let count = count.expect("what goes was counted when it came");
-            *count -= 1;
-            if *count == 0 {
-                front.rim.remove(&coordinate);
-            }
-        }
-    }
-
-    /// Finds the least coordinate.
-    fn find(&mut self, bins: &Bins) {
-        let size = (bins.len() / FRONT_SHARE).max(FRONT_MIN);
-        let front = self.front.take();
-        let usable = front.filter(|front| (1..=front.bins_max).contains(&front.bins.len()));
-        let mut front = usable.unwrap_or_else(|| self.look_at_all(bins, size));
-        let layer = front.bins.first().expect("there are bins")[0];
-        if layer != front.layer || front.rim.is_empty() {
-            self.look_through(&mut front, layer, bins);
-        }
-        self.least = front.rim.keys().next().copied();
-        self.front = Some(front);
-    }
-
-    /// The front among all bins: so many of them and the rest of the last one's layer.
-    fn look_at_all(&self, bins: &Bins, size: usize) -> Front {
-        let mut all: Vec<[i32; 3]> = bins.iter().map(|bin| self.rotated(bin.key())).collect();
-        let size = size.min(all.len() - 1);
-        let until = all.select_nth_unstable(size).1[0];
-        all.retain(|bin| bin[0] <= until);
-        Front {
-            bins_max: 8 * all.len(),
-            bins: all.into_iter().collect(),
-            until,
-            layer: 0,
-            rim: BTreeMap::new(),
-            rim_until: i32::MIN,
-        }
-    }
-
-    /// The rim of a front's layer.
-    fn look_through(&self, front: &mut Front, layer: i32, bins: &Bins) {
-        let mut coordinates: Vec<i32> = front
-            .bins
-            .range([layer, i32::MIN, i32::MIN]..=[layer, i32::MAX, i32::MAX])
-            .filter_map(|bin| bins.get(self.key(*bin)))
-            .flat_map(|bin| (0..bin.len()).map(|index| self.signed(bin.corner(index)[self.axis])))
-            .collect();
+    /// The outermost of the coordinates in a layer.
+    fn rim_of(layer: i32, mut coordinates: Vec<i32>) -> Rim {
         let size = (coordinates.len() / RIM_SHARE).max(RIM_MIN);
-        let size = size.min(coordinates.len() - 1);
-        front.layer = layer;
-        front.rim_until = *coordinates.select_nth_unstable(size).1;
-        front.rim.clear();
+        let size = size.min(coordinates.len()) - 1;
+        let until = *coordinates.select_nth_unstable(size).1;
+        let mut cubes = BTreeMap::new();
         for coordinate in coordinates {
-            if coordinate <= front.rim_until {
-                *front.rim.entry(coordinate).or_default() += 1;
+            if coordinate <= until {
+                *cubes.entry(coordinate).or_default() += 1;
             }
+        }
+        Rim {
+            layer,
+            cubes,
+            until,
         }
     }
 }

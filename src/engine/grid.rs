@@ -1,15 +1,23 @@
-//! The persistent uniform grid: cubes by where they are, sparse.
+//! The persistent uniform grid: cubes by where they are, sparse, and as fine as they are dense.
 //!
-//! Each cube is stored once, in the bin of its lower corner. Bins are cubes of side `2^shift`, at least as wide as an
-//! edge (where queries reach an edge to both sides) and wider where cubes are sparse; an empty bin does not exist. The
-//! bins decide time and space, never a result.
+//! ```text
+//!   level 0   bins of side 2^shift           [  ][  ][##][  ]        most cubes are here
+//!   level 1   half as wide, where a bin               [][#]          of level 0 is divided, because it was crowded
+//! ```
+//!
+//! Each cube is stored once, in the one undivided bin that holds its lower corner. Bins are at least as wide as an edge
+//! (where queries reach an edge to both sides) and wider where cubes are sparse; an empty bin does not exist. The bins
+//! decide time and space, never a result.
+//!
+//! When most bins of level 0 are divided, it is given up; when there are few cubes in a bin, a wider level is put before
+//! it. Both are done a few bins at a time with every change, so that no change waits for all of them.
 
 use std::cmp::Ordering;
 use std::ops::ControlFlow;
 
 use crate::geometry::{Bounds, CubeId, Edge, Place};
 
-use super::bins::{Bin, BinKey, Bins};
+use super::bins::{Bin, BinKey, Bins, Walk};
 use super::extents::Extents;
 use super::neighbours::Neighbours;
 use super::scan::{Avx2, collect};
@@ -18,23 +26,48 @@ use super::scan::{Avx2, collect};
 #[derive(Debug)]
 pub(super) struct Grid {
     edge: i32,
+    /// The widest bins first, each level half as wide as the one before; at least one.
+    levels: Vec<Bins>,
+    /// Width of the bins of level 0: `2^shift` steps.
     shift: u32,
     /// The least shift that crowds may bring; none when the bins are fixed.
     narrowest: Option<u32>,
+    turn: Turn,
     avx2: Option<Avx2>,
-    bins: Bins,
     len: usize,
     /// Numbers of cubes below and above which the bins are looked at again.
     review: [usize; 2],
     extents: Extents,
 }
 
-/// Fewer cubes a bin than this (on average), and bins double their side.
-const CROWD_MIN: usize = 6;
-/// More cubes a bin than this, and bins that are wider than they need be halve their side.
+/// What is done to level 0 a little at a time.
+#[derive(Clone, Copy, Debug)]
+enum Turn {
+    /// Nothing.
+    Rest,
+    /// It is being divided, to be given up.
+    Narrow(Walk),
+    /// It is new, and some bins of level 1, this many, are not below any of its bins yet.
+    Widen(Walk, usize),
+}
+
+/// An undivided bin.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Leaf {
+    level: usize,
+    key: BinKey,
+}
+
+/// More cubes in a bin than this, and it is divided.
 const CROWD_MAX: usize = 96;
+/// So few cubes in a divided bin, and it is one again; when a level is widened, twice as many.
+const CROWD_MIN: usize = 24;
+/// Fewer cubes a bin than this (on average), and the bins become wider.
+const MEAN_MIN: usize = 6;
 /// Too few cubes to bother.
 const REVIEW_MIN: usize = 1024;
+/// Few enough to look at all of them: some milliseconds.
+const FEW: usize = 8192;
 /// Widest bins: the whole lattice is eight of them.
 const SHIFT_MAX: u32 = 30;
 
@@ -43,6 +76,9 @@ const SHIFT_ABOVE_EDGE: u32 = 2;
 
 /// Bins that a query looks for at the same time.
 const BINS_AT_ONCE: usize = 8;
+
+/// Bins that one change divides or puts below others.
+const BINS_A_TURN: usize = 2;
 
 impl Grid {
     /// A grid for queries that reach an edge to both sides. Crowded bins become as narrow as one or two edges: a query
@@ -73,10 +109,11 @@ impl Grid {
     fn build(edge: Edge, shift: u32, narrowest: Option<u32>) -> Self {
         Self {
             edge: edge.steps(),
+            levels: vec![Bins::new()],
             shift,
             narrowest,
+            turn: Turn::Rest,
             avx2: Avx2::detect(),
-            bins: Bins::new(),
             len: 0,
             review: [0, REVIEW_MIN],
             extents: Extents::new(),
@@ -95,49 +132,41 @@ impl Grid {
 
     pub(super) fn insert(&mut self, place: Place, id: CubeId) {
         let corner = place.corner();
-        let key = self.key(corner);
-        let (change, _) = self.bins.push(key, corner, id, 0);
+        let leaf = self.leaf_for(corner);
+        let crowd = self.levels[leaf.level].push(leaf.key, corner, id);
         self.len += 1;
-        self.extents.insert(corner, key, change, self.len == 1);
-        self.review();
+        self.extents.insert(corner, self.len == 1);
+        if crowd > CROWD_MAX {
+            self.divide_crowded(leaf);
+        }
+        self.take_turn();
     }
 
     /// Removes a cube; false when it is not here.
     pub(super) fn remove(&mut self, place: Place, id: CubeId) -> bool {
         let corner = place.corner();
-        let key = self.key(corner);
-        let Some(bin) = self.bins.get(key) else {
+        self.adopt(self.key(0, corner));
+        let Some((leaf, index)) = self.find(corner, Some(id)) else {
             return false;
         };
-        let Some(index) = bin.position(self.avx2, corner, Some(id)) else {
-            return false;
-        };
-        let change = self.bins.swap_remove(key, index);
-        self.len -= 1;
-        self.extents.remove(corner, key, change);
-        self.review();
+        self.remove_at(leaf, index);
+        self.unite_sparse(corner);
+        self.take_turn();
         true
     }
 
     /// Id of some cube at exactly this place.
     pub(super) fn at(&self, place: Place) -> Option<CubeId> {
-        let corner = place.corner();
-        let bin = self.bins.get(self.key(corner))?;
-        let index = bin.position(self.avx2, corner, None)?;
-        Some(bin.id(index))
+        let (leaf, index) = self.find(place.corner(), None)?;
+        Some(self.bin(leaf)?.id(index))
     }
 
     /// Gives the cube `from` at `place` another id; false when it is not here.
     pub(super) fn rename(&mut self, place: Place, from: CubeId, to: CubeId) -> bool {
-        let corner = place.corner();
-        let avx2 = self.avx2;
-        let Some(bin) = self.bins.get_mut(self.key(corner)) else {
+        let Some((leaf, index)) = self.find(place.corner(), Some(from)) else {
             return false;
         };
-        let Some(index) = bin.position(avx2, corner, Some(from)) else {
-            return false;
-        };
-        bin.set_id(index, to);
+        self.bin_mut(leaf).set_id(index, to);
         true
     }
 
@@ -152,7 +181,7 @@ impl Grid {
         let reach: [u32; 3] =
             std::array::from_fn(|axis| max[axis].wrapping_sub(min[axis]).cast_unsigned());
         let mut flow = ControlFlow::Continue(());
-        self.visit_bins(min, max, |bin| {
+        self.visit_bins(min, max, &mut |_, bin| {
             bin.visit(self.avx2, min, reach, |index| {
                 flow = visit(bin.corner(index), bin.id(index));
                 flow.is_break()
@@ -164,153 +193,44 @@ impl Grid {
 
     /// Finds every cube that touches the cube at `corner` (closed boxes), cubes at the very same place included.
     pub(super) fn gather(&self, corner: [i32; 3], neighbours: &mut Neighbours) {
-        neighbours.clear();
-        let min = corner.map(|coordinate| coordinate - self.edge);
-        let max = corner.map(|coordinate| coordinate + self.edge);
-        self.visit_bins(min, max, |bin| {
-            collect(
-                self.avx2,
-                bin.corners(),
-                bin.len(),
-                corner,
-                self.edge,
-                neighbours,
-            );
-            false
-        });
-    }
-
-    /// Calls `visit` with every bin that has a part in the box, until it answers true. Many bins at a time are looked for
-    /// and their memory asked for before the first of them is visited, so that waiting for it overlaps.
-    #[inline]
-    fn visit_bins<'a>(
-        &'a self,
-        min: [i32; 3],
-        max: [i32; 3],
-        mut visit: impl FnMut(&'a Bin) -> bool,
-    ) {
-        let (BinKey(first), BinKey(last)) = (self.key(min), self.key(max));
-        let mut next = first;
-        let mut more = true;
-        while more {
-            let mut keys = [(BinKey([0; 3]), 0); BINS_AT_ONCE];
-            let mut count = 0;
-            while more && count < BINS_AT_ONCE {
-                let key = BinKey(next);
-                let hash = key.hash();
-                self.bins.prefetch(hash);
-                keys[count] = (key, hash);
-                count += 1;
-                more = advance(&mut next, first, last);
-            }
-            let mut found = [None; BINS_AT_ONCE];
-            let mut bins = 0;
-            for (key, hash) in &keys[..count] {
-                if let Some(bin) = self.bins.get_hashed(*key, *hash) {
-                    bin.prefetch();
-                    found[bins] = Some(bin);
-                    bins += 1;
-                }
-            }
-            for bin in found[..bins].iter().flatten() {
-                if visit(bin) {
-                    return;
-                }
-            }
-        }
+        self.gather_of(corner, neighbours, |_, bin| bin.len());
     }
 
     /// The same without the cubes that come after the cube at `index` of a bin, nor that cube itself: see `batch`.
     pub(super) fn gather_before(
         &self,
-        key: BinKey,
+        leaf: Leaf,
         index: usize,
         corner: [i32; 3],
         neighbours: &mut Neighbours,
     ) {
-        neighbours.clear();
-        let min = corner.map(|coordinate| coordinate - self.edge);
-        let max = corner.map(|coordinate| coordinate + self.edge);
-        self.visit_bins(min, max, |bin| {
-            let count = match bin.key().cmp(&key) {
+        let own = self.corner_of(leaf);
+        self.gather_of(corner, neighbours, |leaf, bin| {
+            match self.corner_of(leaf).cmp(&own) {
                 Ordering::Less => bin.len(),
                 Ordering::Equal => index,
                 Ordering::Greater => bin.len() - bin.fresh(),
-            };
-            collect(
-                self.avx2,
-                bin.corners(),
-                count,
-                corner,
-                self.edge,
-                neighbours,
-            );
-            false
+            }
         });
     }
 
-    /// A bin that there may be.
-    pub(super) fn bin(&self, key: BinKey) -> Option<&Bin> {
-        self.bins.get(key)
-    }
-
-    /// Inserts a cube of a batch; the bin when it is the first one there. The bins are not reviewed meanwhile.
-    pub(super) fn insert_fresh(&mut self, place: Place, id: CubeId) -> Option<BinKey> {
-        let corner = place.corner();
-        let key = self.key(corner);
-        let (change, fresh) = self.bins.push(key, corner, id, 1);
-        self.len += 1;
-        self.extents.insert(corner, key, change, self.len == 1);
-        (fresh == 1).then_some(key)
-    }
-
-    /// Moves a cube behind those of its bin that stay; the bin when it is the first one there.
-    pub(super) fn make_fresh(&mut self, place: Place, id: CubeId) -> Option<BinKey> {
-        let key = self.key(place.corner());
-        let avx2 = self.avx2;
-        let bin = self.bins.get_mut(key);
-        let bin = bin.expect("a cube that is not hidden is visible");
-        let index = bin.position(avx2, place.corner(), Some(id));
-        let fresh = bin.fresh() + 1;
-        bin.swap(
-            index.expect("a cube that is not hidden is visible"),
-            bin.len() - fresh,
-        );
-        bin.set_fresh(fresh);
-        (fresh == 1).then_some(key)
-    }
-
-    /// Removes one of the fresh cubes of a bin.
-    pub(super) fn remove_fresh(&mut self, key: BinKey, index: usize) -> (Place, CubeId) {
-        let bin = self.bins.get_mut(key).expect("it has fresh cubes");
-        let (corner, id) = (bin.corner(index), bin.id(index));
-        bin.set_fresh(bin.fresh() - 1);
-        let change = self.bins.swap_remove(key, index);
-        self.len -= 1;
-        self.extents.remove(corner, key, change);
-        (Place::from_checked(corner), id)
-    }
-
-    pub(super) fn remove_all_fresh(&mut self, key: BinKey) {
-        while let Some(bin) = self.bins.get(key).filter(|bin| bin.fresh() > 0) {
-            self.remove_fresh(key, bin.len() - 1);
-        }
-    }
-
-    /// Makes the fresh cubes of a bin ordinary ones.
-    pub(super) fn settle(&mut self, key: BinKey) {
-        if let Some(bin) = self.bins.get_mut(key) {
-            bin.set_fresh(0);
-        }
-    }
-
-    /// Asks for the memory in which the bin of a cube is looked for.
-    pub(super) fn prefetch(&self, place: Place) {
-        self.bins.prefetch(self.key(place.corner()).hash());
-    }
-
-    pub(super) fn shift(&self) -> u32 {
-        self.shift
+    /// The first so many cubes of each bin.
+    #[inline]
+    fn gather_of(
+        &self,
+        corner: [i32; 3],
+        neighbours: &mut Neighbours,
+        count: impl Fn(Leaf, &Bin) -> usize,
+    ) {
+        neighbours.clear();
+        let min = corner.map(|coordinate| coordinate - self.edge);
+        let max = corner.map(|coordinate| coordinate + self.edge);
+        self.visit_bins(min, max, &mut |leaf, bin| {
+            let count = count(leaf, bin);
+            let corners = bin.corners();
+            collect(self.avx2, corners, count, corner, self.edge, neighbours);
+            false
+        });
     }
 
     /// The box around all cubes.
@@ -318,7 +238,16 @@ impl Grid {
         if self.len == 0 {
             return None;
         }
-        let [min, max] = self.extents.ends(&self.bins);
+        let (levels, base) = (&self.levels, self.shift);
+        let [min, max] = self.extents.ends(|axis, [from, to]| {
+            let bins = levels.iter().enumerate().flat_map(move |(level, bins)| {
+                let shift = shift_of(base, level);
+                let near = (from >> shift)..=(to >> shift);
+                bins.iter()
+                    .filter(move |bin| near.contains(&bin.key().0[axis]))
+            });
+            bins.flat_map(move |bin| bin.column(axis).iter().copied())
+        });
         Some(Bounds {
             min,
             max: max.map(|greatest| greatest + self.edge),
@@ -327,56 +256,433 @@ impl Grid {
 
     /// The lower corners of all cubes.
     pub(super) fn corners(&self) -> impl Iterator<Item = [i32; 3]> + '_ {
-        let bins = self.bins.iter();
+        let bins = self.levels.iter().flat_map(Bins::iter);
         bins.flat_map(|bin| (0..bin.len()).map(|index| bin.corner(index)))
     }
 
     /// Bytes of bins and tables, without the allocator's own. O(1).
     pub(super) fn size(&self) -> usize {
-        self.bins.size()
+        self.levels.iter().map(Bins::size).sum()
     }
 
-    fn key(&self, corner: [i32; 3]) -> BinKey {
-        BinKey(corner.map(|coordinate| coordinate >> self.shift))
+    /// Width of the bins of the first level: `2^shift` steps.
+    pub(super) fn shift(&self) -> u32 {
+        self.shift
     }
 
-    /// Looks after the bins when the number of cubes has changed much.
+    /// Asks for the memory in which the bin of a cube is looked for.
     #[inline]
-    pub(super) fn review(&mut self) {
-        if !(self.review[0]..=self.review[1]).contains(&self.len) {
-            self.review_bins();
+    pub(super) fn prefetch(&self, place: Place) {
+        self.levels[0].prefetch(self.key(0, place.corner()).hash());
+    }
+
+    /// Inserts a cube of a batch; its bin when it is the first one there.
+    pub(super) fn insert_fresh(&mut self, place: Place, id: CubeId) -> Option<Leaf> {
+        let corner = place.corner();
+        let leaf = self.leaf_for(corner);
+        let fresh = self.levels[leaf.level].push_fresh(leaf.key, corner, id);
+        self.len += 1;
+        self.extents.insert(corner, self.len == 1);
+        (fresh == 1).then_some(leaf)
+    }
+
+    /// Moves a cube behind those of its bin that stay; the bin when it is the first one there.
+    pub(super) fn make_fresh(&mut self, place: Place, id: CubeId) -> Option<Leaf> {
+        let corner = place.corner();
+        self.adopt(self.key(0, corner));
+        let found = self.find(corner, Some(id));
+        let (leaf, index) = found.expect("a cube that is not hidden is visible");
+        let bin = self.bin_mut(leaf);
+        let fresh = bin.fresh() + 1;
+        bin.swap(index, bin.len() - fresh);
+        bin.set_fresh(fresh);
+        (fresh == 1).then_some(leaf)
+    }
+
+    /// Removes one of the fresh cubes of a bin.
+    pub(super) fn remove_fresh(&mut self, leaf: Leaf, index: usize) -> (Place, CubeId) {
+        let bin = self.bin_mut(leaf);
+        let (corner, id) = (bin.corner(index), bin.id(index));
+        bin.set_fresh(bin.fresh() - 1);
+        self.remove_at(leaf, index);
+        (Place::from_checked(corner), id)
+    }
+
+    /// Removes all fresh cubes of a bin.
+    pub(super) fn remove_all_fresh(&mut self, leaf: Leaf) {
+        while let Some(bin) = self.bin(leaf).filter(|bin| bin.fresh() > 0) {
+            self.remove_fresh(leaf, bin.len() - 1);
         }
     }
 
-    /// Looks whether the bins still suit the cubes, and builds the index anew when they do not: O(cubes), and only when
-    /// their number has doubled or halved since.
-    #[cold]
-    fn review_bins(&mut self) {
-        self.review = [self.len / 2, (self.len * 2).max(REVIEW_MIN)];
-        let Some(narrowest) = self.narrowest else {
-            return;
-        };
-        if self.len < REVIEW_MIN {
-            return;
+    /// Makes the fresh cubes of some bins ordinary ones, and looks after these bins. They are no longer known afterwards.
+    pub(super) fn settle(&mut self, leaves: &[Leaf]) {
+        let corners: Vec<_> = leaves.iter().map(|leaf| self.corner_of(*leaf)).collect();
+        let mut crowded = Vec::new();
+        let mut cubes = 0;
+        for leaf in leaves {
+            if self.bin(*leaf).is_some() {
+                let bin = self.bin_mut(*leaf);
+                cubes += bin.fresh();
+                bin.set_fresh(0);
+                if bin.len() > CROWD_MAX {
+                    crowded.push(*leaf);
+                }
+            }
         }
-        while self.len < CROWD_MIN * self.bins.len() && self.shift < SHIFT_MAX {
-            self.rebuild(self.shift + 1);
+        for leaf in crowded {
+            self.divide_crowded(leaf);
         }
-        while self.len > CROWD_MAX * self.bins.len() && self.shift > narrowest {
-            self.rebuild(self.shift - 1);
+        for corner in corners {
+            self.unite_sparse(corner);
+        }
+        for _ in 0..=cubes {
+            self.take_turn();
         }
     }
 
-    fn rebuild(&mut self, shift: u32) {
-        self.shift = shift;
-        self.extents.forget_bins();
-        for bin in std::mem::replace(&mut self.bins, Bins::new()).into_bins() {
-            for index in 0..bin.len() {
-                let corner = bin.corner(index);
-                self.bins.push(self.key(corner), corner, bin.id(index), 0);
+    /// An undivided bin, if it is there.
+    pub(super) fn bin(&self, leaf: Leaf) -> Option<&Bin> {
+        self.levels[leaf.level].get(leaf.key)
+    }
+
+    fn bin_mut(&mut self, leaf: Leaf) -> &mut Bin {
+        let bin = self.levels[leaf.level].get_mut(leaf.key);
+        bin.expect("the bin has been found")
+    }
+
+    /// The least corner of a bin: bins that hold cubes do not overlap, so it tells them apart and puts them in order.
+    #[inline]
+    fn corner_of(&self, leaf: Leaf) -> [i32; 3] {
+        let shift = shift_of(self.shift, leaf.level);
+        leaf.key.0.map(|layer| layer << shift)
+    }
+
+    #[inline]
+    fn key(&self, level: usize, corner: [i32; 3]) -> BinKey {
+        let shift = shift_of(self.shift, level);
+        BinKey(corner.map(|coordinate| coordinate >> shift))
+    }
+
+    /// The undivided bin for a cube that comes, which is counted in the divided ones above it.
+    #[inline]
+    fn leaf_for(&mut self, corner: [i32; 3]) -> Leaf {
+        let mut level = 0;
+        let mut key = self.key(level, corner);
+        self.adopt(key);
+        while self.levels[level].count_in(key) {
+            level += 1;
+            key = self.key(level, corner);
+        }
+        Leaf { level, key }
+    }
+
+    /// The bin and the index in it of a cube at `corner`, of this id if one is given.
+    fn find(&self, corner: [i32; 3], id: Option<CubeId>) -> Option<(Leaf, usize)> {
+        let mut level = 0;
+        loop {
+            let key = self.key(level, corner);
+            match self.levels[level].get(key) {
+                Some(bin) if !bin.is_divided() => {
+                    let index = bin.position(self.avx2, corner, id)?;
+                    return Some((Leaf { level, key }, index));
+                }
+                None if !self.may_be_below(level) => return None,
+                Some(_) | None => level += 1,
             }
         }
     }
+
+    /// Whether cubes may be in the next level although this one has no bin for them.
+    #[inline]
+    fn may_be_below(&self, level: usize) -> bool {
+        level == 0 && matches!(self.turn, Turn::Widen(..))
+    }
+
+    fn remove_at(&mut self, leaf: Leaf, index: usize) {
+        let corner = self.bin_mut(leaf).corner(index);
+        self.levels[leaf.level].swap_remove(leaf.key, index);
+        for level in 0..leaf.level {
+            let key = self.key(level, corner);
+            self.levels[level].count_out(key);
+        }
+        self.len -= 1;
+        self.extents.remove(corner);
+    }
+
+    /// Calls `visit` with every bin that has a part in the box, until it answers true; true then. Several bins at a time are
+    /// looked for and their memory asked for before the first of them is visited, so that waiting for it overlaps.
+    #[inline]
+    fn visit_bins<'a>(
+        &'a self,
+        min: [i32; 3],
+        max: [i32; 3],
+        visit: &mut impl FnMut(Leaf, &'a Bin) -> bool,
+    ) -> bool {
+        let (first, last) = (self.key(0, min), self.key(0, max));
+        self.visit_level(0, [first, last], [min, max], visit)
+    }
+
+    #[inline]
+    fn visit_level<'a>(
+        &'a self,
+        level: usize,
+        [first, last]: [BinKey; 2],
+        within: [[i32; 3]; 2],
+        visit: &mut impl FnMut(Leaf, &'a Bin) -> bool,
+    ) -> bool {
+        let bins = &self.levels[level];
+        let mut next = first.0;
+        let mut more = true;
+        while more {
+            let mut keys = [(BinKey([0; 3]), 0); BINS_AT_ONCE];
+            let mut count = 0;
+            while more && count < BINS_AT_ONCE {
+                let key = BinKey(next);
+                let hash = key.hash();
+                bins.prefetch(hash);
+                keys[count] = (key, hash);
+                count += 1;
+                more = advance(&mut next, first.0, last.0);
+            }
+            let mut found = [None; BINS_AT_ONCE];
+            for ((key, hash), found) in keys[..count].iter().zip(&mut found) {
+                *found = bins.get_hashed(*key, *hash);
+                if let Some(bin) = found {
+                    bin.prefetch();
+                }
+            }
+            for ((key, _), found) in keys[..count].iter().zip(found) {
+                let stop = match found {
+                    Some(bin) if !bin.is_divided() => visit(Leaf { level, key: *key }, bin),
+                    None if !self.may_be_below(level) => false,
+                    Some(_) | None => self.visit_below(level + 1, *key, within, visit),
+                };
+                if stop {
+                    return true;
+                }
+            }
+        }
+        false
+    }
+
+    /// The part of a box that lies in the bin above.
+    #[inline(never)]
+    fn visit_below<'a>(
+        &'a self,
+        level: usize,
+        above: BinKey,
+        [min, max]: [[i32; 3]; 2],
+        visit: &mut impl FnMut(Leaf, &'a Bin) -> bool,
+    ) -> bool {
+        let (mut first, mut last) = (self.key(level, min), self.key(level, max));
+        for axis in 0..3 {
+            let half = above.0[axis] * 2;
+            first.0[axis] = first.0[axis].max(half);
+            last.0[axis] = last.0[axis].min(half + 1);
+        }
+        self.visit_level(level, [first, last], [min, max], visit)
+    }
+
+    /// Divides a bin, and those it is divided into as long as they are crowded, unless bins must not be so narrow.
+    #[cold]
+    fn divide_crowded(&mut self, leaf: Leaf) {
+        let shift = shift_of(self.shift, leaf.level);
+        if self.narrowest.is_none_or(|narrowest| shift <= narrowest) {
+            return;
+        }
+        let crowded = self.divide(leaf);
+        for leaf in crowded {
+            self.divide_crowded(leaf);
+        }
+    }
+
+    /// Divides a bin; those it is divided into that are crowded.
+    fn divide(&mut self, leaf: Leaf) -> Vec<Leaf> {
+        let bins = &mut self.levels[leaf.level];
+        let bin = bins.take(leaf.key).expect("the bin has been found");
+        bins.divide(leaf.key, bin.len());
+        let level = leaf.level + 1;
+        if level == self.levels.len() {
+            self.levels.push(Bins::new());
+        }
+        let mut crowded = Vec::new();
+        for index in 0..bin.len() {
+            let key = self.key(level, bin.corner(index));
+            let crowd = self.levels[level].push(key, bin.corner(index), bin.id(index));
+            if crowd == CROWD_MAX + 1 {
+                crowded.push(Leaf { level, key });
+            }
+        }
+        crowded
+    }
+
+    /// Makes one of the divided bins at `corner` undivided when there are few cubes in it.
+    #[inline]
+    fn unite_sparse(&mut self, corner: [i32; 3]) {
+        for level in 0..self.levels.len() {
+            let key = self.key(level, corner);
+            match self.levels[level].get(key) {
+                Some(bin) if !bin.is_divided() => return,
+                None if !self.may_be_below(level) => return,
+                Some(bin) if bin.len() <= CROWD_MIN => return self.unite(level, key),
+                Some(_) | None => {}
+            }
+        }
+    }
+
+    /// Makes a divided bin undivided.
+    #[cold]
+    fn unite(&mut self, level: usize, key: BinKey) {
+        let bin = self.levels[level].take(key);
+        debug_assert!(
+            bin.is_some_and(|bin| bin.is_divided()),
+            "the bin has been found"
+        );
+        self.take_below(level, key, level, key);
+    }
+
+    /// Moves all cubes below a bin to another one.
+    fn take_below(&mut self, level: usize, key: BinKey, to_level: usize, to: BinKey) {
+        for below in halves(key) {
+            let Some(bin) = self.levels[level + 1].take(below) else {
+                continue;
+            };
+            if bin.is_divided() {
+                self.take_below(level + 1, below, to_level, to);
+                continue;
+            }
+            for index in 0..bin.len() {
+                self.levels[to_level].push(to, bin.corner(index), bin.id(index));
+            }
+        }
+    }
+
+    /// While level 0 is new: makes the bin of it that has bins of level 1 below.
+    #[inline]
+    fn adopt(&mut self, key: BinKey) {
+        if let Turn::Widen(..) = self.turn
+            && self.levels[0].get(key).is_none()
+        {
+            self.adopt_new(key);
+        }
+    }
+
+    #[cold]
+    fn adopt_new(&mut self, key: BinKey) {
+        let below = halves(key).map(|below| self.levels[1].get(below).map_or(0, Bin::len));
+        let Turn::Widen(_, orphans) = &mut self.turn else {
+            return;
+        };
+        *orphans -= below.iter().filter(|count| **count > 0).count();
+        let cubes: usize = below.iter().sum();
+        if cubes > 2 * CROWD_MIN {
+            self.levels[0].divide(key, cubes);
+        } else if cubes > 0 {
+            self.take_below(0, key, 0, key);
+        }
+    }
+
+    /// Looks at the levels when the number of cubes has changed much, and does a part of what was begun.
+    #[inline]
+    fn take_turn(&mut self) {
+        if !matches!(self.turn, Turn::Rest) {
+            self.turn_some();
+            // While there are few, it is done at once; so bins suit even a set that comes in one change.
+            while self.len <= FEW && !matches!(self.turn, Turn::Rest) {
+                self.turn_some();
+            }
+            return;
+        }
+        let base = &self.levels[0];
+        let changed = !(self.review[0]..=self.review[1]).contains(&self.len);
+        if changed || base.divided() * 8 > base.len() * 7 {
+            self.review_levels();
+        }
+    }
+
+    /// Looks whether level 0 still suits the cubes, and begins to change it when it does not.
+    #[cold]
+    fn review_levels(&mut self) {
+        self.review = [self.len / 2, (self.len * 2).max(REVIEW_MIN)];
+        while self.levels.len() > 1 && self.levels.last().is_some_and(|last| last.len() == 0) {
+            self.levels.pop();
+        }
+        let Some(narrowest) = self.narrowest else {
+            return;
+        };
+        let base = &self.levels[0];
+        if base.divided() * 8 > base.len() * 7 && self.shift > narrowest {
+            self.turn = Turn::Narrow(Walk::default());
+            return;
+        }
+        let bins: usize = self
+            .levels
+            .iter()
+            .map(|bins| bins.len() - bins.divided())
+            .sum();
+        if self.len >= REVIEW_MIN && self.len < MEAN_MIN * bins && self.shift < SHIFT_MAX {
+            self.turn = Turn::Widen(Walk::default(), self.levels[0].len());
+            self.levels.insert(0, Bins::new());
+            self.shift += 1;
+        }
+    }
+
+    #[cold]
+    fn turn_some(&mut self) {
+        for _ in 0..BINS_A_TURN {
+            match self.turn {
+                Turn::Rest => return,
+                Turn::Narrow(mut walk) => {
+                    let (bin, more) = self.levels[0].next(&mut walk);
+                    self.turn = Turn::Narrow(if more { walk } else { Walk::default() });
+                    if let Some(bin) = bin.filter(|bin| !bin.is_divided()) {
+                        let (level, key) = (0, bin.key());
+                        for crowded in self.divide(Leaf { level, key }) {
+                            self.divide_crowded(crowded);
+                        }
+                    }
+                    if self.levels[0].len() == self.levels[0].divided() {
+                        if self.levels.len() > 1 {
+                            self.levels.remove(0);
+                            self.shift -= 1;
+                        }
+                        self.turn = Turn::Rest;
+                        self.review_levels();
+                    }
+                }
+                Turn::Widen(mut walk, _) => {
+                    let (bin, more) = self.levels[1].next(&mut walk);
+                    let orphans = bin.map(|bin| BinKey(bin.key().0.map(|half| half >> 1)));
+                    let to = if more { walk } else { Walk::default() };
+                    if let Turn::Widen(walk, _) = &mut self.turn {
+                        *walk = to;
+                    }
+                    if let Some(key) = orphans {
+                        self.adopt(key);
+                    }
+                    if let Turn::Widen(_, 0) = self.turn {
+                        self.turn = Turn::Rest;
+                        self.review_levels();
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Width of the bins of a level.
+#[inline]
+fn shift_of(base: u32, level: usize) -> u32 {
+    base - u32::try_from(level).expect("there are few levels")
+}
+
+/// The eight bins of the next level that a bin is divided into.
+fn halves(BinKey(key): BinKey) -> [BinKey; 8] {
+    std::array::from_fn(|half| {
+        let side = |axis: usize| i32::from(half >> axis & 1 == 1);
+        BinKey([0, 1, 2].map(|axis| key[axis] * 2 + side(axis)))
+    })
 }
 
 /// The next key of a box, x first; false behind the last one.
@@ -390,4 +696,107 @@ fn advance(next: &mut [i32; 3], first: [i32; 3], last: [i32; 3]) -> bool {
         next[axis] = first[axis];
     }
     false
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use super::*;
+
+    /// A generator that needs no seed to be told: splitmix64 of a counter.
+    struct Counter(u64);
+
+    impl Counter {
+        fn within(&mut self, half: i32) -> i32 {
+            self.0 += 1;
+            let mut mixed = self.0.wrapping_mul(0x9e37_79b9_7f4a_7c15);
+            mixed = (mixed ^ (mixed >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+            mixed ^= mixed >> 27;
+            let span = u64::from(half.unsigned_abs()) * 2 + 1;
+            i32::try_from(mixed % span).unwrap() - half
+        }
+    }
+
+    fn check(grid: &mut Grid, cubes: &BTreeMap<u64, [i32; 3]>, random: &mut Counter) {
+        assert_eq!(grid.len(), cubes.len());
+        let least = |axis: usize| cubes.values().map(|corner| corner[axis]).min();
+        let greatest = |axis: usize| cubes.values().map(|corner| corner[axis]).max();
+        let expected = least(0).map(|_| Bounds {
+            min: [0, 1, 2].map(|axis| least(axis).unwrap()),
+            max: [0, 1, 2].map(|axis| greatest(axis).unwrap() + grid.edge),
+        });
+        assert_eq!(grid.bounds(), expected);
+        let mut corners: Vec<_> = grid.corners().collect();
+        let mut kept: Vec<_> = cubes.values().copied().collect();
+        corners.sort_unstable();
+        kept.sort_unstable();
+        assert_eq!(corners, kept);
+        for _ in 0..5 {
+            let some = usize::try_from(random.within(i32::MAX / 4).unsigned_abs()).unwrap();
+            let Some(own) = cubes.values().nth(some % cubes.len().max(1)) else {
+                return;
+            };
+            let mut neighbours = Neighbours::new();
+            grid.gather(*own, &mut neighbours);
+            let mut found: Vec<_> = neighbours.iter().collect();
+            let offsets = cubes
+                .values()
+                .map(|corner| [0, 1, 2].map(|axis| corner[axis] - own[axis]));
+            let near = |offset: &[i32; 3]| offset.iter().all(|part| part.abs() <= grid.edge);
+            let mut expected: Vec<_> = offsets.filter(near).collect();
+            found.sort_unstable();
+            expected.sort_unstable();
+            assert_eq!(found, expected);
+        }
+    }
+
+    /// Sparse cubes, then a crowd among them, then sparse ones again, and none: more than are looked at at once, so that
+    /// levels come and go a few bins at a time.
+    #[test]
+    fn levels_come_and_go() {
+        let edge = Edge::new(100).unwrap();
+        for bins in [Grid::for_neighbours(edge), Grid::for_small_boxes(edge)] {
+            let (mut grid, mut random) = (bins, Counter(1));
+            let mut cubes = BTreeMap::new();
+            let mut next = 0;
+            for (phase, (half, count)) in [
+                (20_000_000, 12_000),
+                (300, 6_000),
+                (4_000, 30_000),
+                (900_000_000, 20_000),
+            ]
+            .into_iter()
+            .enumerate()
+            {
+                for _ in 0..count {
+                    let corner = [0; 3].map(|_: i32| random.within(half));
+                    grid.insert(Place::from_checked(corner), CubeId(next));
+                    cubes.insert(next, corner);
+                    next += 1;
+                    if next % 2003 == 0 {
+                        check(&mut grid, &cubes, &mut random);
+                    }
+                }
+                // The oldest go; after the last phase all of them.
+                let stay = [9_000, 9_000, 20_000, 0][phase];
+                while cubes.len() > stay {
+                    let (id, corner) = cubes.pop_first().unwrap();
+                    let place = Place::from_checked(corner);
+                    assert!(!grid.remove(place, CubeId(u64::MAX)), "another id");
+                    assert!(grid.remove(place, CubeId(id)));
+                    assert!(!grid.remove(place, CubeId(id)), "it has gone");
+                    if id % 2003 == 0 {
+                        check(&mut grid, &cubes, &mut random);
+                    }
+                }
+            }
+            assert_eq!(grid.bounds(), None);
+            assert!(
+                grid.size() < 5_000,
+                "nothing is left behind: {}",
+                grid.size()
+            );
+        }
+    }
 }

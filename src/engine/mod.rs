@@ -345,12 +345,11 @@ impl Engine {
         } else {
             self.marginal(place)
         };
-        match difference {
-            Some(difference) => self.show(id, place, &difference),
-            None => {
-                self.certificates.certify(place);
-                self.hidden.insert(place, id);
-            }
+        if let Some(difference) = difference {
+            self.show(id, place, &difference);
+        } else {
+            self.certificates.certify(place);
+            self.hidden.insert(place, id);
         }
         self.certificates.review(&self.visible, &self.hidden);
     }

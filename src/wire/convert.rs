@@ -369,6 +369,11 @@ impl Settings {
         float(steps3) / self.scale(3)
     }
 
+    /// An area in user units. Units of `steps2`: steps squared.
+    pub fn area_user(&self, steps2: i128) -> f64 {
+        float(steps2) / self.scale(2)
+    }
+
     /// Label of the user unit.
     pub fn unit(&self) -> &str {
         &self.unit
@@ -720,7 +725,7 @@ fn part_properties(measures: &Measures, settings: &Settings) -> PartProperties {
         .map(|kind| measures.edge_length_of(kind));
     PartProperties {
         volume,
-        area: float(measures.area()) / settings.scale(2),
+        area: settings.area_user(measures.area()),
         edge_length: EdgeLength {
             total: length(measures.edge_length_total()),
             convex: length(convex),
@@ -769,6 +774,13 @@ pub fn duration_ns(seconds: f64) -> Result<u64, &'static str> {
         .and_then(|seconds| Duration::try_from_secs_f64(seconds).ok())
         .and_then(|duration| u64::try_from(duration.as_nanos()).ok())
         .ok_or("is not a number of seconds from 0 to 1e9")
+}
+
+/// Volume removed in a second; none without a duration above 0.
+pub fn removal_rate(volume_removed: f64, duration: Option<f64>) -> Option<f64> {
+    duration
+        .filter(|seconds| *seconds > 0.0)
+        .map(|seconds| volume_removed / seconds)
 }
 
 /// Seconds of so many nanoseconds.

@@ -21,6 +21,7 @@ pub mod problem;
 #[expect(
     missing_docs,
     clippy::pedantic,
+    clippy::large_enum_variant,
     reason = "generated; the documentation is in the proto files"
 )]
 pub mod proto {

@@ -5,7 +5,6 @@
 #[path = "../../src/cli/bench/random.rs"]
 mod random;
 #[path = "../../src/cli/bench/workload.rs"]
-#[expect(dead_code, reason = "some of it is for the program alone")]
 mod workload;
 
 use criterion::{BatchSize, BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};

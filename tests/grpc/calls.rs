@@ -530,7 +530,7 @@ async fn a_stock_is_cut_move_by_move() {
         .collect();
     assert_eq!(seen, [(102, 0.25, 16.0, 64.0), (103, 1.0, 0.0, 0.0)]);
     assert_eq!(rows[0].volume_removed_exact, "16");
-    let volumes = rows[1].volumes.unwrap();
+    let volumes = rows[1].volumes.clone().unwrap();
     assert_eq!((volumes.removed(), volumes.remaining()), (48.0, 9_952.0));
     let (_, there) = server.get("/v1/scenes/block/history?move_from=102").await;
     assert_eq!(there["changes"][0]["removal_rate"], rows[0].removal_rate());

@@ -1,5 +1,6 @@
 //! `union3d mill`: G-code to the cubes that a cubic cutter sweeps, and what each line removes.
 
+mod grpc;
 mod tally;
 mod target;
 
@@ -419,7 +420,7 @@ async fn target(args: &Args, settings: &Settings) -> Result<Target, Box<dyn std:
             let (client, largest_id) = Client::open(server, &wanted).await?;
             Target::http(client, largest_id).await
         }
-        (None, Some(_)) => Err("gRPC is not there yet".into()),
+        (None, Some(server)) => Target::grpc(server, &wanted).await,
         (None, None) if args.scene.is_some() => {
             Err("--scene names a scene of a server: give --server or --grpc, too".into())
         }

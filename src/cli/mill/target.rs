@@ -4,7 +4,8 @@ use serde_json::Value;
 use serde_json::value::RawValue;
 use uuid::Uuid;
 
-use super::super::client::Client;
+use super::super::client::{Client, SceneWanted};
+use super::grpc::GrpcStream;
 use super::tally::Cut;
 use union3d::engine::Engine;
 use union3d::geometry::{CubeId, Effect, Place, Totals};
@@ -71,7 +72,7 @@ impl Part {
     }
 
     /// What it did, from the states before and after it.
-    fn cut(&self, before: State, after: State) -> Cut {
+    pub(super) fn cut(&self, before: State, after: State) -> Cut {
         Cut {
             line: self.line,
             rapid: self.rapid,
@@ -98,6 +99,7 @@ pub(super) enum Target {
         run: Uuid,
         changes: u64,
     },
+    Grpc(Box<GrpcStream>),
 }
 
 impl Target {
@@ -121,6 +123,15 @@ impl Target {
             run: Uuid::new_v4(),
             changes: 0,
         })
+    }
+
+    pub(super) async fn grpc(
+        server: &str,
+        wanted: &SceneWanted,
+    ) -> Result<Self, Box<dyn std::error::Error>> {
+        Ok(Self::Grpc(Box::new(
+            GrpcStream::open(server, wanted).await?,
+        )))
     }
 
     /// Sends a part on its way; answers what is done by now.
@@ -158,6 +169,7 @@ impl Target {
                 let before = std::mem::replace(last, after);
                 Ok(vec![part.cut(before, after)])
             }
+            Self::Grpc(stream) => Ok(stream.send(part).await?),
         }
     }
 
@@ -173,6 +185,10 @@ impl Target {
                 (vec![], serde_json::value::to_raw_value(&properties)?)
             }
             Self::Http { client, .. } => (vec![], client.mass_properties().await?),
+            Self::Grpc(stream) => {
+                let (cuts, properties) = stream.finish().await?;
+                (cuts, RawValue::from_string(properties)?)
+            }
         })
     }
 }

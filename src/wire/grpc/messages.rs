@@ -97,10 +97,21 @@ pub(super) fn totals(
         Detail::Volume => {
             let totals = &published.totals;
             let stock = totals.stock.as_ref();
+            let (union, area) = (totals.measures.volume, totals.measures.area());
+            let [removed, remaining] = [
+                stock.map(|stock| stock.removed.volume),
+                stock.map(|stock| stock.remaining.volume),
+            ];
+            let user = |steps3: i128| settings.volume_user(steps3);
             let volumes = proto::Volumes {
-                union: settings.volume_user(totals.measures.volume),
-                removed: stock.map(|stock| settings.volume_user(stock.removed.volume)),
-                remaining: stock.map(|stock| settings.volume_user(stock.remaining.volume)),
+                union: user(union),
+                removed: removed.map(user),
+                remaining: remaining.map(user),
+                area: settings.area_user(area),
+                exact_union: union.to_string(),
+                exact_removed: removed.map(|steps3| steps3.to_string()),
+                exact_remaining: remaining.map(|steps3| steps3.to_string()),
+                exact_area: area.to_string(),
             };
             (Some(volumes), None)
         }

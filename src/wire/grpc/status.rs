@@ -114,7 +114,7 @@ fn field(body: &str, pointer: &str) -> String {
     let mut path = body.to_owned();
     for step in pointer.split('/').skip(1) {
         if step.bytes().all(|byte| byte.is_ascii_digit()) {
-            path += &format!("[{step}]");
+            path.extend(["[", step, "]"]);
         } else {
             path += if path.is_empty() { "" } else { "." };
             path += &step.replace("~1", "/").replace("~0", "~");

@@ -44,7 +44,7 @@ type Answer = StreamChangesResponse;
 /// What has come of one message.
 enum Done {
     /// A change, with the client's number of it.
-    Judged(u64, Result<Applied, Problem>),
+    Judged(u64, Result<Box<Applied>, Problem>),
     /// The end: nothing more is read.
     Ended(Status),
 }
@@ -193,7 +193,7 @@ impl Reader {
         let tag = change.tag;
         match self.queue(change).await {
             Ok(judged) => {
-                let done = async move { Done::Judged(tag, judged.await) };
+                let done = async move { Done::Judged(tag, judged.await.map(Box::new)) };
                 Some((Box::pin(done), self))
             }
             Err(problem) => {

@@ -1,0 +1,432 @@
+//! A program on its way over gRPC: a window of lines in flight, sent again when the connection breaks.
+
+use std::collections::VecDeque;
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+use tokio::sync::mpsc;
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::transport::{Channel, Endpoint};
+use tonic::{Code, Status, Streaming};
+use uuid::Uuid;
+
+use super::super::client::{SceneWanted, inserted};
+use super::tally::Cut;
+use super::target::{Part, State};
+use union3d::wire::proto::union_service_client::UnionServiceClient;
+use union3d::wire::proto::{
+    Box as Block, Change, CreateSceneRequest, Detail, ExactMeasures, ExactVector,
+    GetMassPropertiesRequest, InertiaTensor, ListCubesRequest, MassProperties, PartProperties,
+    SceneSettings, StreamChangesRequest, StreamChangesResponse, StreamOpening, StreamedChange,
+    Vector, Volumes, stream_changes_request as request, stream_changes_response as response,
+};
+
+/// Lines sent ahead of their acknowledgements: as many as the server takes in.
+const LINES_IN_FLIGHT_MAX: usize = 256;
+
+/// How long a server that went away is tried again.
+const PATIENCE: Duration = Duration::from_secs(30);
+const PAUSE: Duration = Duration::from_millis(200);
+
+/// Why the server did not do what it was asked.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum Failure {
+    /// The address is no address.
+    #[error("{server:?} is no address of a server: {cause} (try grpc://127.0.0.1:7374)")]
+    Address { server: String, cause: String },
+    /// Nobody answers.
+    #[error("cannot reach {server}: {cause} (is the server running? `union3d serve` starts one)")]
+    Unreachable { server: String, cause: String },
+    /// It answers with an error.
+    #[error("{server}: {}", status.message())]
+    Refused { server: String, status: Status },
+    /// Its answer cannot be read.
+    #[error("{server} answers without {0} (is it of the same version?)", missing)]
+    Answer {
+        server: String,
+        missing: &'static str,
+    },
+}
+
+/// A line that has been sent and not been acknowledged.
+struct Sent {
+    part: Part,
+    message: StreamedChange,
+}
+
+/// A scene of a server, and the stream of changes into it.
+pub(crate) struct GrpcStream {
+    server: String,
+    scene: String,
+    client: UnionServiceClient<Channel>,
+    to: mpsc::Sender<StreamChangesRequest>,
+    from: Streaming<StreamChangesResponse>,
+    in_flight: VecDeque<Sent>,
+    next_id: u64,
+    /// As of the newest acknowledgement.
+    state: State,
+    /// Names this run in the keys of its changes, so that those sent twice act once.
+    run: Uuid,
+    sent: u64,
+}
+
+impl GrpcStream {
+    /// Opens the scene that is wanted, made if it is not there, and a stream into it.
+    pub(super) async fn open(server: &str, wanted: &SceneWanted) -> Result<Self, Failure> {
+        let address = |cause: String| Failure::Address {
+            server: server.to_owned(),
+            cause,
+        };
+        let url = match server.strip_prefix("grpc://") {
+            Some(rest) => format!("http://{rest}"),
+            None => server.to_owned(),
+        };
+        let endpoint = Endpoint::from_shared(url)
+            .map_err(|error| address(error.to_string()))?
+            .connect_timeout(Duration::from_secs(5));
+        let channel = endpoint
+            .connect()
+            .await
+            .map_err(|error| Failure::Unreachable {
+                server: server.to_owned(),
+                cause: causes(&error),
+            })?;
+        let mut client = UnionServiceClient::new(channel);
+        let refused = |status| Failure::Refused {
+            server: server.to_owned(),
+            status,
+        };
+        let vector = |[x, y, z]: [f64; 3]| Some(Vector { x, y, z });
+        let settings = SceneSettings {
+            edge: wanted.edge,
+            steps_per_unit: Some(wanted.steps_per_unit),
+            unit: Some(wanted.unit.clone()),
+            stock: wanted.stock.map(|stock| Block {
+                min: vector(stock.min),
+                max: vector(stock.max),
+            }),
+            ..SceneSettings::default()
+        };
+        let create = CreateSceneRequest {
+            scene: wanted.name.clone(),
+            settings: Some(settings),
+        };
+        client.create_scene(create).await.map_err(refused)?;
+        let properties = client
+            .get_mass_properties(GetMassPropertiesRequest {
+                scene: wanted.name.clone(),
+                ..GetMassPropertiesRequest::default()
+            })
+            .await
+            .map_err(refused)?
+            .into_inner()
+            .mass_properties;
+        let mut largest_id = 0;
+        if properties.as_ref().is_some_and(|scene| scene.cubes > 0) {
+            let request = ListCubesRequest {
+                scene: wanted.name.clone(),
+            };
+            let mut cubes = client
+                .list_cubes(request)
+                .await
+                .map_err(refused)?
+                .into_inner();
+            while let Some(page) = cubes.message().await.map_err(refused)? {
+                let ids = page.cubes.into_iter().flat_map(|cubes| cubes.insert_id);
+                largest_id = ids.fold(largest_id, u64::max);
+            }
+        }
+        let state = properties.as_ref().and_then(state_of_properties);
+        let state = state.ok_or(Failure::Answer {
+            server: server.to_owned(),
+            missing: "the exact volume",
+        })?;
+        let (to, from) = stream(&mut client, &wanted.name).await.map_err(refused)?;
+        Ok(Self {
+            server: server.to_owned(),
+            scene: wanted.name.clone(),
+            client,
+            to,
+            from,
+            in_flight: VecDeque::new(),
+            next_id: largest_id + 1,
+            state,
+            run: Uuid::new_v4(),
+            sent: 0,
+        })
+    }
+
+    /// Sends a line; answers those that were acknowledged meanwhile.
+    pub(super) async fn send(&mut self, part: Part) -> Result<Vec<Cut>, Failure> {
+        self.sent += 1;
+        let change = Change {
+            r#move: Some(part.line),
+            duration: part.duration,
+            ..inserted(self.next_id, &part.places)
+        };
+        self.next_id += part.places.len() as u64;
+        let message = StreamedChange {
+            tag: self.sent,
+            change: Some(change),
+            idempotency_key: Some(format!("{}-{}", self.run.simple(), self.sent)),
+        };
+        let mut cuts = Vec::new();
+        while self.in_flight.len() >= LINES_IN_FLIGHT_MAX {
+            cuts.extend(self.acknowledged().await?);
+        }
+        let sent = request::Message::Change(message.clone());
+        self.in_flight.push_back(Sent { part, message });
+        // There is room for all that is in flight; when the channel is closed, reading says why and sends all again.
+        drop(self.to.try_send(StreamChangesRequest {
+            message: Some(sent),
+        }));
+        Ok(cuts)
+    }
+
+    /// Waits for all that is in flight, and reads what the scene measures then, as the HTTP API writes it.
+    pub(super) async fn finish(mut self) -> Result<(Vec<Cut>, String), Failure> {
+        let mut cuts = Vec::new();
+        while !self.in_flight.is_empty() {
+            cuts.extend(self.acknowledged().await?);
+        }
+        let request = GetMassPropertiesRequest {
+            scene: self.scene.clone(),
+            ..GetMassPropertiesRequest::default()
+        };
+        let answer = self.client.get_mass_properties(request).await;
+        let properties = answer.map_err(|status| self.refused(status))?;
+        let properties = properties.into_inner().mass_properties;
+        let properties = properties.ok_or_else(|| self.without("mass properties"))?;
+        Ok((cuts, document(&properties).to_string()))
+    }
+
+    async fn acknowledged(&mut self) -> Result<Option<Cut>, Failure> {
+        let answer = self.from.message().await;
+        self.take(answer).await
+    }
+
+    /// What an answer says; a connection that broke is made anew.
+    async fn take(
+        &mut self,
+        answer: Result<Option<StreamChangesResponse>, Status>,
+    ) -> Result<Option<Cut>, Failure> {
+        let message = match answer {
+            Ok(Some(answer)) => answer.message,
+            Ok(None) => return self.connect_again().await.map(|()| None),
+            Err(status) if away(&status) => return self.connect_again().await.map(|()| None),
+            Err(status) => return Err(self.refused(status)),
+        };
+        match message {
+            Some(response::Message::Acknowledged(acknowledged)) => {
+                let outcome = acknowledged.outcome.unwrap_or_default();
+                let after = outcome.volumes.as_ref().and_then(state_of_volumes);
+                let after = after.ok_or_else(|| self.without("volumes"))?;
+                let oldest = self.in_flight.pop_front();
+                let oldest = oldest.filter(|sent| sent.message.tag == acknowledged.tag);
+                let oldest = oldest.ok_or_else(|| self.without("the order of what was sent"))?;
+                let before = std::mem::replace(&mut self.state, after);
+                Ok(Some(oldest.part.cut(before, after)))
+            }
+            Some(response::Message::Refused(refused)) => {
+                let problem = refused.problem.unwrap_or_default();
+                Err(self.refused(Status::failed_precondition(problem.detail)))
+            }
+            Some(response::Message::Opened(_)) | None => Ok(None),
+        }
+    }
+
+    /// Opens a stream anew, once the server is back, and sends again what was not acknowledged.
+    async fn connect_again(&mut self) -> Result<(), Failure> {
+        let started = Instant::now();
+        loop {
+            match stream(&mut self.client, &self.scene).await {
+                Ok((to, from)) => {
+                    (self.to, self.from) = (to, from);
+                    break;
+                }
+                Err(status) if away(&status) && started.elapsed() < PATIENCE => {
+                    tokio::time::sleep(PAUSE).await;
+                }
+                Err(status) => return Err(self.refused(status)),
+            }
+        }
+        for sent in &self.in_flight {
+            let message = Some(request::Message::Change(sent.message.clone()));
+            // The channel has room for all of them; when it is closed, reading will say why.
+            drop(self.to.try_send(StreamChangesRequest { message }));
+        }
+        Ok(())
+    }
+
+    fn refused(&self, status: Status) -> Failure {
+        Failure::Refused {
+            server: self.server.clone(),
+            status,
+        }
+    }
+
+    fn without(&self, missing: &'static str) -> Failure {
+        Failure::Answer {
+            server: self.server.clone(),
+            missing,
+        }
+    }
+}
+
+/// A stream into a scene, opened.
+async fn stream(
+    client: &mut UnionServiceClient<Channel>,
+    scene: &str,
+) -> Result<
+    (
+        mpsc::Sender<StreamChangesRequest>,
+        Streaming<StreamChangesResponse>,
+    ),
+    Status,
+> {
+    let (to, requests) = mpsc::channel(LINES_IN_FLIGHT_MAX + 1);
+    let opening = StreamOpening {
+        scene: scene.to_owned(),
+        detail: Detail::Volume.into(),
+        ..StreamOpening::default()
+    };
+    let opening = StreamChangesRequest {
+        message: Some(request::Message::Opening(opening)),
+    };
+    drop(to.try_send(opening));
+    let from = client.stream_changes(ReceiverStream::new(requests)).await?;
+    Ok((to, from.into_inner()))
+}
+
+/// Whether the server is away or not ready, rather than against it.
+fn away(status: &Status) -> bool {
+    matches!(
+        status.code(),
+        Code::Unavailable | Code::Unknown | Code::Cancelled | Code::Internal
+    )
+}
+
+fn state_of_volumes(volumes: &Volumes) -> Option<State> {
+    let removed = volumes.exact_removed.as_ref();
+    Some(State {
+        removed: removed.unwrap_or(&volumes.exact_union).parse().ok()?,
+        area: volumes.exact_area.parse().ok()?,
+    })
+}
+
+fn state_of_properties(properties: &MassProperties) -> Option<State> {
+    let union = properties.exact.as_ref()?;
+    let removed = match &properties.removed {
+        Some(removed) => removed.exact.as_ref()?,
+        None => union,
+    };
+    Some(State {
+        removed: removed.volume.parse().ok()?,
+        area: union.area.parse().ok()?,
+    })
+}
+
+/// The mass properties as the HTTP API writes them.
+fn document(properties: &MassProperties) -> Value {
+    let of = properties.clone();
+    let mut document = part(&PartProperties {
+        volume: of.volume,
+        area: of.area,
+        edge_length: of.edge_length,
+        mass: of.mass,
+        mean_curvature: of.mean_curvature,
+        centroid: of.centroid,
+        inertia: of.inertia,
+        euler_characteristic: of.euler_characteristic,
+        vertices: of.vertices,
+        exact: of.exact,
+    });
+    document["scene"] = json!(of.scene);
+    document["seq"] = json!(of.seq);
+    document["cubes"] = json!(of.cubes);
+    document["bounds"] = json!(of.bounds.as_ref().map(|bounds| json!({
+        "min": bounds.min.as_ref().map(vector),
+        "max": bounds.max.as_ref().map(vector),
+    })));
+    for (name, value) in [("removed", &of.removed), ("remaining", &of.remaining)] {
+        if let Some(value) = value {
+            document[name] = part(value);
+        }
+    }
+    document
+}
+
+fn vector(vector: &Vector) -> [f64; 3] {
+    [vector.x, vector.y, vector.z]
+}
+
+fn part(part: &PartProperties) -> Value {
+    let edges = part.edge_length.unwrap_or_default();
+    let vertices = part.vertices.unwrap_or_default();
+    let InertiaTensor {
+        xx,
+        yy,
+        zz,
+        xy,
+        yz,
+        zx,
+    } = part.inertia.unwrap_or_default();
+    json!({
+        "volume": part.volume,
+        "area": part.area,
+        "edge_length": {
+            "total": edges.total,
+            "convex": edges.convex,
+            "concave": edges.concave,
+            "crossing": edges.crossing,
+        },
+        "mass": part.mass,
+        "mean_curvature": part.mean_curvature,
+        "centroid": part.centroid.as_ref().map(vector),
+        "inertia": [[xx, xy, zx], [xy, yy, yz], [zx, yz, zz]],
+        "euler_characteristic": part.euler_characteristic,
+        "vertices": {
+            "total": vertices.total,
+            "corner": vertices.corner,
+            "edge_face": vertices.edge_face,
+            "three_face": vertices.three_face,
+            "degenerate": vertices.degenerate,
+        },
+        "exact": part.exact.as_ref().map(exact),
+    })
+}
+
+fn exact(exact: &ExactMeasures) -> Value {
+    let vector = |vector: &Option<ExactVector>| {
+        let vector = vector.clone().unwrap_or_default();
+        [vector.x, vector.y, vector.z]
+    };
+    let edges = exact.edge_length.clone().unwrap_or_default();
+    let products = exact.product_moments4.clone().unwrap_or_default();
+    json!({
+        "steps_per_unit": exact.steps_per_unit,
+        "volume": exact.volume,
+        "area": exact.area,
+        "area_by_axis": vector(&exact.area_by_axis),
+        "edge_length": {
+            "total": edges.total,
+            "convex": edges.convex,
+            "concave": edges.concave,
+            "crossing": edges.crossing,
+        },
+        "first_moments2": vector(&exact.first_moments2),
+        "second_moments3": vector(&exact.second_moments3),
+        "product_moments4": [products.xy, products.yz, products.zx],
+    })
+}
+
+/// An error with all that caused it: the outermost alone says little.
+fn causes(error: &dyn std::error::Error) -> String {
+    let mut text = error.to_string();
+    let mut next = error.source();
+    while let Some(cause) = next {
+        text = cause.to_string();
+        next = cause.source();
+    }
+    text
+}
