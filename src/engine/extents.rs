@@ -240,7 +240,7 @@ impl Axis {
             let lowest = layer << self.shift;
             let between = [lowest, lowest + ((1 << self.shift) - 1)];
             let there = within(between).filter(|coordinate| coordinate >> self.shift == layer);
-            rim_of(
+            End::rim_of(
                 layer,
                 there.map(|coordinate| end.signed(coordinate)).collect(),
             )

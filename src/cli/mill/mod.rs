@@ -313,7 +313,8 @@ fn report_cutting(cutting: &Cutting, args: &Args) -> String {
     let number = |value: f64| report::figure(&value.into());
     let mut text = String::new();
     let mut row = |name: &str, value: String| {
-        text += &format!("{name:<22}{value}\n");
+        use std::fmt::Write;
+        writeln!(text, "{name:<22}{value}").expect("a string takes everything");
     };
     row(
         "removed",
@@ -360,7 +361,9 @@ fn report_cutting(cutting: &Cutting, args: &Args) -> String {
         let of: Vec<u64> = rapids.lines.iter().map(|cut| cut.line).collect();
         let mut said = lines(&of, rapids.count);
         if rapids.count > 0 {
-            said += &format!(" ({} {unit}^3)", number(rapids.volume));
+            use std::fmt::Write;
+            write!(said, " ({} {unit}^3)", number(rapids.volume))
+                .expect("a string takes everything");
         }
         row("rapids that cut", said);
     }
