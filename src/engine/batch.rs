@@ -111,6 +111,7 @@ impl Engine {
             // From the last one back: what takes the place of a removed one has been looked at.
             for (leaf, index) in found.covered.into_iter().rev() {
                 let (place, id) = self.visible.remove_fresh(leaf, index);
+                self.certificates.certify(place);
                 self.hidden.insert(place, id);
             }
         }
@@ -122,7 +123,7 @@ impl Engine {
                 }
             }
         }
-        self.visible.settle(touched);
+        self.visible.settle(&touched);
         for plan in plans {
             for index in plan.covered {
                 let (id, place) = cubes[index];
@@ -171,7 +172,7 @@ impl Engine {
         for leaf in &touched {
             self.visible.remove_all_fresh(*leaf);
         }
-        self.visible.settle(touched);
+        self.visible.settle(&touched);
         for found in &found {
             if let Some(sum) = &found.sum {
                 self.retract(sum);

@@ -60,14 +60,14 @@ impl Extents {
             least: None,
             rim: None,
         };
-        let axis = |_| Axis {
+        let axis = || Axis {
             shift: 0,
             first: 0,
             counts: Vec::new(),
             ends: [end(false), end(true)],
         };
         Self {
-            axes: [(); 3].map(axis),
+            axes: std::array::from_fn(|_| axis()),
             known: None,
         }
     }
@@ -240,7 +240,7 @@ impl Axis {
             let lowest = layer << self.shift;
             let between = [lowest, lowest + ((1 << self.shift) - 1)];
             let there = within(between).filter(|coordinate| coordinate >> self.shift == layer);
-            end.rim_of(
+            End::rim_of(
                 layer,
                 there.map(|coordinate| end.signed(coordinate)).collect(),
             )
@@ -264,7 +264,7 @@ impl End {
     }
 
     /// The outermost of the coordinates in a layer.
-    fn rim_of(&self, layer: i32, mut coordinates: Vec<i32>) -> Rim {
+    fn rim_of(layer: i32, mut coordinates: Vec<i32>) -> Rim {
         let size = (coordinates.len() / RIM_SHARE).max(RIM_MIN);
         let size = size.min(coordinates.len()) - 1;
         let until = *coordinates.select_nth_unstable(size).1;

@@ -316,11 +316,11 @@ impl Grid {
     }
 
     /// Makes the fresh cubes of some bins ordinary ones, and looks after these bins. They are no longer known afterwards.
-    pub(super) fn settle(&mut self, leaves: Vec<Leaf>) {
+    pub(super) fn settle(&mut self, leaves: &[Leaf]) {
         let corners: Vec<_> = leaves.iter().map(|leaf| self.corner_of(*leaf)).collect();
         let mut crowded = Vec::new();
         let mut cubes = 0;
-        for leaf in &leaves {
+        for leaf in leaves {
             if self.bin(*leaf).is_some() {
                 let bin = self.bin_mut(*leaf);
                 cubes += bin.fresh();

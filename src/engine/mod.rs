@@ -340,17 +340,13 @@ impl Engine {
     }
 
     fn insert(&mut self, id: CubeId, place: Place) {
-        let difference = if self.certificates.covers(place) {
-            None
+        if self.certificates.covers(place) {
+            self.hidden.insert(place, id);
+        } else if let Some(difference) = self.marginal(place) {
+            self.show(id, place, &difference);
         } else {
-            self.marginal(place)
-        };
-        match difference {
-            Some(difference) => self.show(id, place, &difference),
-            None => {
-                self.certificates.certify(place);
-                self.hidden.insert(place, id);
-            }
+            self.certificates.certify(place);
+            self.hidden.insert(place, id);
         }
         self.certificates.review(&self.visible, &self.hidden);
     }
