@@ -52,28 +52,28 @@ const fn grpc_code(code: Code) -> GrpcCode {
 
 /// A problem as the status that ends a call. `body` is the field whose content the places of the faults are in.
 pub(super) fn status(problem: &Problem, body: &str) -> Status {
-    let problem = message(problem, body);
+    let (code, problem) = message(problem, body);
     let mut details = ErrorDetails::new();
     let mut size = 0;
-    let members = problem.1.members.into_iter().filter(|(_, value)| {
-        size += value.len();
-        value.len() <= MEMBER_BYTES_MAX
-    });
-    let members: HashMap<String, String> = members.collect();
-    details.set_error_info(problem.1.code, DOMAIN, members);
-    for fault in problem.1.faults {
+    let members = problem.members.into_iter();
+    let members: HashMap<String, String> = members
+        .filter(|(_, value)| value.len() <= MEMBER_BYTES_MAX)
+        .inspect(|(name, value)| size += name.len() + value.len())
+        .collect();
+    details.set_error_info(problem.code, DOMAIN, members);
+    for fault in problem.faults {
         size += fault.field.len() + fault.detail.len() + 16;
         if size > DETAILS_BYTES_MAX {
             break;
         }
         details.add_bad_request_violation(fault.field, fault.detail);
     }
-    if let Some(seconds) = problem.1.retry_after_seconds {
+    if let Some(seconds) = problem.retry_after_seconds {
         details.set_retry_info(Some(Duration::from_secs(seconds.into())));
     }
-    let mut text = problem.1.detail;
+    let mut text = problem.detail;
     text.truncate(text.floor_char_boundary(MESSAGE_BYTES_MAX));
-    Status::with_error_details(grpc_code(problem.0), text, details)
+    Status::with_error_details(grpc_code(code), text, details)
 }
 
 /// A problem as a message, with its type.
