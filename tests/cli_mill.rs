@@ -566,7 +566,7 @@ fn each_line_removes_what_a_calculator_says() {
     let arguments = [&SLOT_ARGUMENTS[..], &["--csv", csv.to_str().unwrap()]].concat();
     let (milled, _) = mill(&arguments, SLOT);
     let cutting = &milled["cutting"];
-    assert_eq!(cutting["lines"], 5);
+    assert_eq!(cutting["lines"], 6);
     assert_eq!(cutting["volume_removed"], 88.0);
     assert_eq!(cutting["air_cuts"], json!({"count": 1, "lines": [6]}));
     assert_eq!(
@@ -597,13 +597,13 @@ fn each_line_removes_what_a_calculator_says() {
         rows[row][column].to_owned()
     };
     let lines: Vec<_> = (0..rows.len()).map(|row| cell(row, "line")).collect();
-    assert_eq!(lines, ["2", "4", "5", "6", "7"]);
+    assert_eq!(lines, ["2", "3", "4", "5", "6", "7"]);
     let removed: Vec<_> = (0..rows.len())
         .map(|row| cell(row, "volume_removed"))
         .collect();
-    assert_eq!(removed, ["0.0", "8.0", "40.0", "0.0", "40.0"]);
-    assert_eq!([cell(2, "motion"), cell(4, "motion")], ["feed", "rapid"]);
-    assert_eq!(cell(4, "total_removed"), "88.0");
+    assert_eq!(removed, ["0.0", "0.0", "8.0", "40.0", "0.0", "40.0"]);
+    assert_eq!([cell(3, "motion"), cell(5, "motion")], ["feed", "rapid"]);
+    assert_eq!(cell(5, "total_removed"), "88.0");
 }
 
 #[test]
@@ -612,10 +612,7 @@ fn a_rapid_that_cuts_can_fail_the_run() {
     let failed = command(&arguments, SLOT);
     assert_eq!(failed.status.code(), Some(3));
     let report = String::from_utf8(failed.stdout).unwrap();
-    assert!(
-        report.contains("rapids that cut       1 lines: 7 (40 mm^3)"),
-        "{report}"
-    );
+    assert!(report.contains("1 line: 7 (40 mm^3)"), "{report}");
     assert!(report.contains("on line 5"), "{report}");
     let well = command(&arguments, &SLOT.replace("G0 X20", "G0 Z9"));
     assert_eq!(well.status.code(), Some(0));
@@ -689,6 +686,6 @@ fn every_way_to_a_scene_removes_the_same() {
         told
     };
     let told = history("http");
-    assert!(told.len() > 100, "{}", told.len());
+    assert!(told.len() > 50, "{}", told.len());
     assert_eq!(told, history("grpc"));
 }

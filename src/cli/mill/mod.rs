@@ -344,12 +344,15 @@ fn report_cutting(cutting: &Cutting, args: &Args) -> String {
     }
     let lines = |lines: &[u64], count: u64| {
         let shown: Vec<String> = lines.iter().take(10).map(u64::to_string).collect();
-        match (count, shown.len() as u64) {
-            (0, _) => "none".to_owned(),
-            (count, shown_count) if count > shown_count => {
-                format!("{count} lines: {}, ...", shown.join(", "))
-            }
-            (count, _) => format!("{count} lines: {}", shown.join(", ")),
+        let more = if count > shown.len() as u64 {
+            ", ..."
+        } else {
+            ""
+        };
+        let noun = if count == 1 { "line" } else { "lines" };
+        match count {
+            0 => "none".to_owned(),
+            _ => format!("{count} {noun}: {}{more}", shown.join(", ")),
         }
     };
     row(
