@@ -225,7 +225,7 @@ fn a_real_server_is_measured() {
         panic!("four tables, not {found:?}");
     };
     check_figures(changes, &["cubes_per_second", "p50_ms", "max_ms"]);
-    assert_eq!(rows(changes).len(), 3 * 2 * 2);
+    assert_eq!(rows(changes).len(), 4 * 2 * 2);
     check_figures(queries, &["queries_per_second", "p99_ms"]);
     check_figures(large, &["changes_per_second", "p99_ms"]);
     assert_eq!(rows(large).len(), 3);

@@ -230,6 +230,8 @@ struct Difficult {
     changes: u64,
     /// Sizes of the changes taken.
     sizes: Vec<usize>,
+    /// What they said of the machine.
+    moves: Vec<(Option<u64>, Option<f64>)>,
     refuse_all: bool,
 }
 
@@ -306,8 +308,10 @@ async fn change(State(state): State<Shared>, headers: HeaderMap, body: Bytes) ->
             Json(json!({"title": "busy", "status": 429})),
         );
     }
+    assert!(headers["idempotency-key"].len() > 32, "a retry acts once");
     let change = Change::decode(body).unwrap();
     state.sizes.push(change.x.len());
+    state.moves.push((change.r#move, change.duration));
     for (index, id) in change.insert_id.iter().enumerate() {
         let at = [change.x[index], change.y[index], change.z[index]];
         assert_eq!(state.cubes.insert(*id, at), None, "id {id} came twice");
@@ -315,21 +319,27 @@ async fn change(State(state): State<Shared>, headers: HeaderMap, body: Bytes) ->
     (
         StatusCode::OK,
         HeaderMap::new(),
-        Json(json!({"seq": state.changes})),
+        Json(json!({"seq": state.changes, "mass_properties": properties("my-pocket", &state)})),
     )
 }
 
 async fn totals(State(state): State<Shared>, UrlPath(scene): UrlPath<String>) -> Json<Value> {
-    Json(json!({"scene": scene, "seq": 1, "cubes": state.lock().unwrap().cubes.len()}))
+    Json(properties(&scene, &state.lock().unwrap()))
+}
+
+/// Every cube counts one step cubed.
+fn properties(scene: &str, state: &Difficult) -> Value {
+    let cubes = state.cubes.len();
+    json!({"scene": scene, "seq": 1, "cubes": cubes, "exact": {"volume": cubes.to_string(), "area": "0"}})
 }
 
 #[test]
-fn cubes_are_streamed_in_batches_and_a_busy_server_is_waited_for() {
+fn each_line_is_a_change_and_a_busy_server_is_waited_for() {
     let state = Shared::default();
     let (_runtime, url) = difficult(&state);
     let directory = tempfile::tempdir().unwrap();
     let file = directory.path().join("My Pocket.gcode");
-    std::fs::write(&file, "G21 G1 X20 F100\n").unwrap();
+    std::fs::write(&file, "G21 G1 X10 F100\nX20 F200\n").unwrap();
     let out = directory.path().join("cubes.i32");
     let arguments = [
         "mill",
@@ -354,17 +364,20 @@ fn cubes_are_streamed_in_batches_and_a_busy_server_is_waited_for() {
     assert_eq!(milled["cubes"], 20_001);
     assert_eq!(
         milled["mass_properties"],
-        json!({"scene": "my-pocket", "seq": 1, "cubes": 20_001})
+        json!({"scene": "my-pocket", "seq": 1, "cubes": 20_001, "exact": {"volume": "20001", "area": "0"}})
     );
+    assert_eq!(milled["cutting"]["lines"], 2);
+    assert_eq!(milled["cutting"]["machine_seconds"], 9.0);
+    assert_eq!(milled["cutting"]["removal_rate"]["peak_line"], 2);
     {
         let state = state.lock().unwrap();
         assert_eq!(
             state.settings,
             Some(json!({"edge": 2.0, "steps_per_unit": 1000, "unit": "mm"}))
         );
-        let mut sizes = state.sizes.clone();
-        sizes.sort_unstable();
-        assert_eq!(sizes, [3_617, 4_096, 4_096, 4_096, 4_096]);
+        // A change a line, in their order, with its machine time.
+        assert_eq!(state.sizes, [10_001, 10_000]);
+        assert_eq!(state.moves, [(Some(1), Some(6.0)), (Some(2), Some(3.0))]);
         // Ids count from 1 along the path, and the file has the same cubes.
         assert_eq!(
             (state.cubes[&1], state.cubes[&20_001]),
@@ -423,6 +436,7 @@ fn what_a_server_refuses_is_said() {
 struct Server {
     child: Child,
     url: String,
+    grpc: String,
 }
 
 impl Server {
@@ -448,7 +462,8 @@ impl Server {
             .unwrap();
         let mut words = line.split_whitespace();
         let url = words.nth(1).expect("the address").to_owned();
-        Self { child, url }
+        let grpc = words.next().expect("the other address").to_owned();
+        Self { child, url, grpc }
     }
 }
 
@@ -531,4 +546,146 @@ fn a_server_measures_what_is_measured_here() {
         "G21 G1 X1\n",
         &["Not A Name"],
     );
+}
+
+/// A plunge, a slot, the way back through it, and a rapid that ploughs on.
+const SLOT: &str = "G21 F600\nG0 Z5\nG0 X0 Y0\nG1 Z-1\nG1 X10\nG1 X0\nG0 X20\n";
+const SLOT_ARGUMENTS: [&str; 6] = [
+    "--edge",
+    "2",
+    "--step",
+    "0.1",
+    "--stock",
+    "-5,-5,-10:30,5,0",
+];
+
+#[test]
+fn each_line_removes_what_a_calculator_says() {
+    let directory = tempfile::tempdir().unwrap();
+    let csv = directory.path().join("lines.csv");
+    let arguments = [&SLOT_ARGUMENTS[..], &["--csv", csv.to_str().unwrap()]].concat();
+    let (milled, _) = mill(&arguments, SLOT);
+    let cutting = &milled["cutting"];
+    assert_eq!(cutting["lines"], 6);
+    assert_eq!(cutting["volume_removed"], 88.0);
+    assert_eq!(cutting["air_cuts"], json!({"count": 1, "lines": [6]}));
+    assert_eq!(
+        cutting["rapid_cuts"],
+        json!({"count": 1, "volume": 40.0, "lines": [{"line": 7, "volume": 40.0}]})
+    );
+    let rate = &cutting["removal_rate"];
+    assert_eq!(
+        [&rate["peak"], &rate["peak_line"]],
+        [&json!(40.0), &json!(5)]
+    );
+    let mean = rate["mean"].as_f64().unwrap();
+    assert!((mean - 48.0 / 2.6).abs() < 1e-9, "{mean}");
+    // Rapids at 5 m a minute: 5 and 20 mm of them; line 3 goes nowhere.
+    let seconds = cutting["machine_seconds"].as_f64().unwrap();
+    assert!(
+        (seconds - (2.6 + 25.0 / 5000.0 * 60.0)).abs() < 1e-9,
+        "{seconds}"
+    );
+    let properties = &milled["mass_properties"];
+    assert_eq!(properties["removed"]["volume"], 88.0);
+    assert_eq!(properties["remaining"]["volume"], 35.0 * 10.0 * 10.0 - 88.0);
+    let mut reader = csv::Reader::from_path(&csv).unwrap();
+    let columns = reader.headers().unwrap().clone();
+    let rows: Vec<_> = reader.records().map(Result::unwrap).collect();
+    let cell = |row: usize, name: &str| {
+        let column = columns.iter().position(|column| column == name).unwrap();
+        rows[row][column].to_owned()
+    };
+    let lines: Vec<_> = (0..rows.len()).map(|row| cell(row, "line")).collect();
+    assert_eq!(lines, ["2", "3", "4", "5", "6", "7"]);
+    let removed: Vec<_> = (0..rows.len())
+        .map(|row| cell(row, "volume_removed"))
+        .collect();
+    assert_eq!(removed, ["0.0", "0.0", "8.0", "40.0", "0.0", "40.0"]);
+    assert_eq!([cell(3, "motion"), cell(5, "motion")], ["feed", "rapid"]);
+    assert_eq!(cell(5, "total_removed"), "88.0");
+}
+
+#[test]
+fn a_rapid_that_cuts_can_fail_the_run() {
+    let arguments = [&["mill", "-", "--fail-on-rapid-cut"], &SLOT_ARGUMENTS[..]].concat();
+    let failed = command(&arguments, SLOT);
+    assert_eq!(failed.status.code(), Some(3));
+    let report = String::from_utf8(failed.stdout).unwrap();
+    assert!(report.contains("1 line: 7 (40 mm^3)"), "{report}");
+    assert!(report.contains("on line 5"), "{report}");
+    let well = command(&arguments, &SLOT.replace("G0 X20", "G0 Z9"));
+    assert_eq!(well.status.code(), Some(0));
+    check_refused(
+        &["-", "--edge", "2", "--stock", "0,0:1,1,1"],
+        "",
+        &["two corners"],
+    );
+    check_refused(
+        &["-", "--edge", "2", "--stock", "0,0,0:1,0,1"],
+        "",
+        &["stock.max[1]"],
+    );
+    check_refused(
+        &["-", "--edge", "2", "--fail-on-rapid-cut"],
+        "",
+        &["--stock"],
+    );
+    check_refused(
+        &["-", "--edge", "2", "--scene", "a"],
+        "G1 X1\n",
+        &["--server or --grpc"],
+    );
+}
+
+/// Over HTTP, over gRPC and in the process itself a program removes the same, line by line.
+#[test]
+fn every_way_to_a_scene_removes_the_same() {
+    let directory = tempfile::tempdir().unwrap();
+    let server = Server::start(&directory.path().join("data"));
+    let program = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/cli/demo.gcode");
+    let program = std::fs::read_to_string(program).unwrap();
+    let run = |name: &str, way: &[&str]| {
+        let csv = directory.path().join(format!("{name}.csv"));
+        let csv = csv.to_str().unwrap();
+        let own = ["--edge", "3", "--stock", "-10,-10,-8:90,70,0", "--csv", csv];
+        let (mut milled, _) = mill(&[&own, way].concat(), &program);
+        milled["seconds"].take();
+        milled["mass_properties"]["scene"].take();
+        milled["mass_properties"]["seq"].take();
+        (milled, std::fs::read_to_string(csv).unwrap())
+    };
+    let here = run("here", &[]);
+    assert!(here.0["cutting"]["volume_removed"].as_f64().unwrap() > 0.0);
+    assert_eq!(
+        run("http", &["--server", &server.url, "--scene", "http"]),
+        here
+    );
+    assert_eq!(
+        run("grpc", &["--grpc", &server.grpc, "--scene", "grpc"]),
+        here
+    );
+    // The history has what each line removed.
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    let history = |scene: &str| {
+        let url = format!("{}/v1/scenes/{scene}/history?limit=10000", server.url);
+        let text =
+            runtime.block_on(async { reqwest::get(url).await.unwrap().text().await.unwrap() });
+        let history: Value = serde_json::from_str(&text).unwrap();
+        let rows = history["changes"].as_array().unwrap().clone();
+        let told: Vec<_> = rows
+            .iter()
+            .map(|row| {
+                [
+                    row["move"].clone(),
+                    row["duration"].clone(),
+                    row["volume_removed_exact"].clone(),
+                ]
+            })
+            .collect();
+        told
+    };
+    let told = history("http");
+    assert!(told.len() > 50, "{}", told.len());
+    assert_eq!(told, history("grpc"));
 }

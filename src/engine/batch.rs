@@ -111,6 +111,7 @@ impl Engine {
             // From the last one back: what takes the place of a removed one has been looked at.
             for (leaf, index) in found.covered.into_iter().rev() {
                 let (place, id) = self.visible.remove_fresh(leaf, index);
+                self.certificates.certify(place);
                 self.hidden.insert(place, id);
             }
         }

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!   cells of an eighth of the edge (rounded down) ── 8 x 8 x 8 of them are one block of 64 bytes
-//!   certify   every cell inside a cube that became visible
+//!   certify   every cell inside a cube that comes, visible or hidden
 //!   revoke    every cell that meets what a deletion laid bare
 //!   covers    all cells that meet a cube are certified: the union covers it
 //! ```
@@ -83,7 +83,7 @@ impl Certificates {
         match self.state {
             State::Idle if hidden.len() >= HIDDEN_MIN && hidden.len() * 2 >= visible.len() => {
                 self.state = State::Kept;
-                for corner in visible.corners() {
+                for corner in visible.corners().chain(hidden.corners()) {
                     self.certify(Place::from_checked(corner));
                 }
             }
@@ -100,7 +100,7 @@ impl Certificates {
         self.state == State::Kept
     }
 
-    /// Certifies the cells inside a cube that is visible.
+    /// Certifies the cells inside a cube of the set.
     pub(super) fn certify(&mut self, place: Place) {
         if self.state != State::Kept {
             return;

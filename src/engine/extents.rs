@@ -60,14 +60,14 @@ impl Extents {
             least: None,
             rim: None,
         };
-        let axis = |()| Axis {
+        let axis = || Axis {
             shift: 0,
             first: 0,
             counts: Vec::new(),
             ends: [end(false), end(true)],
         };
         Self {
-            axes: [(); 3].map(axis),
+            axes: std::array::from_fn(|_| axis()),
             known: None,
         }
     }

@@ -594,34 +594,32 @@ impl Grid {
             }
             return;
         }
-        let base = &self.levels[0];
-        let changed = !(self.review[0]..=self.review[1]).contains(&self.len);
-        if changed || base.divided() * 8 > base.len() * 7 {
+        if self.is_mostly_divided() {
+            self.turn = Turn::Narrow(Walk::default());
+        } else if !(self.review[0]..=self.review[1]).contains(&self.len) {
             self.review_levels();
         }
     }
 
-    /// Looks whether level 0 still suits the cubes, and begins to change it when it does not.
+    /// Whether nearly all bins of level 0 are divided, so that it is only in the way.
+    #[inline]
+    fn is_mostly_divided(&self) -> bool {
+        let base = &self.levels[0];
+        base.divided() * 8 > base.len() * 7
+    }
+
+    /// Begins a wider level when there are few cubes in a bin. Looked at only when their number has doubled or halved (and
+    /// again when that level is complete), so that what a crowd among sparse cubes makes narrow again costs little.
     #[cold]
     fn review_levels(&mut self) {
         self.review = [self.len / 2, (self.len * 2).max(REVIEW_MIN)];
         while self.levels.len() > 1 && self.levels.last().is_some_and(|last| last.len() == 0) {
             self.levels.pop();
         }
-        let Some(narrowest) = self.narrowest else {
-            return;
-        };
-        let base = &self.levels[0];
-        if base.divided() * 8 > base.len() * 7 && self.shift > narrowest {
-            self.turn = Turn::Narrow(Walk::default());
-            return;
-        }
-        let bins: usize = self
-            .levels
-            .iter()
-            .map(|bins| bins.len() - bins.divided())
-            .sum();
-        if self.len >= REVIEW_MIN && self.len < MEAN_MIN * bins && self.shift < SHIFT_MAX {
+        let undivided = self.levels.iter().map(|bins| bins.len() - bins.divided());
+        let sparse = self.len < MEAN_MIN * undivided.sum::<usize>();
+        let may = self.narrowest.is_some() && self.len >= REVIEW_MIN && self.shift < SHIFT_MAX;
+        if sparse && may && !self.is_mostly_divided() {
             self.turn = Turn::Widen(Walk::default(), self.levels[0].len());
             self.levels.insert(0, Bins::new());
             self.shift += 1;
@@ -648,7 +646,6 @@ impl Grid {
                             self.shift -= 1;
                         }
                         self.turn = Turn::Rest;
-                        self.review_levels();
                     }
                 }
                 Turn::Widen(mut walk, _) => {

@@ -6,7 +6,7 @@
 //!
 //! ```text
 //!   slot   0    1    2    3    4    5    6   ...
-//!   mix   .03  .04  .21   -   .40  .41  .44        home(mix) = mix * capacity / 2^64
+//!   mix   .03  .04  .21   -   .40  .41  .44        home(mix) = mix * capacity / 2^64, in one of 64 parts
 //! ```
 
 use crate::geometry::{CubeId, Place};
@@ -31,9 +31,12 @@ const EMPTY: Entry = Entry {
 };
 const _: () = assert!(size_of::<Entry>() == 20);
 
-/// Slots behind the last home, so that a run at the end of the table need not wrap around.
-const TAIL: usize = 64;
-const CAPACITY_MIN: usize = 16;
+/// Slots behind the last home, so that a run at the end of a part need not wrap around.
+const TAIL_MAX: usize = 64;
+const CAPACITY_MIN: usize = 4;
+
+/// Parts of the table. Each grows and shrinks alone, so that a pause is a sixty-fourth of what it would be.
+const PARTS: usize = 64;
 
 /// So far from its home a cube is looked for slot by slot: most are nearer.
 const STEPS_OF_ONE: usize = 16;
@@ -41,7 +44,15 @@ const STEPS_OF_ONE: usize = 16;
 /// Cubes by id.
 #[derive(Debug)]
 pub(super) struct IdTable {
-    /// `capacity` homes and a tail.
+    /// By the first bits of the mix, so that the order goes on from one to the next.
+    parts: Box<[Part]>,
+    len: usize,
+}
+
+/// The ids whose mix begins alike.
+#[derive(Clone, Debug, Default)]
+struct Part {
+    /// `capacity` homes and a tail; nothing at all when there are no cubes.
     slots: Vec<Entry>,
     capacity: usize,
     len: usize,
@@ -50,8 +61,7 @@ pub(super) struct IdTable {
 impl IdTable {
     pub(super) fn new() -> Self {
         Self {
-            slots: vec![EMPTY; CAPACITY_MIN + TAIL],
-            capacity: CAPACITY_MIN,
+            parts: vec![Part::default(); PARTS].into_boxed_slice(),
             len: 0,
         }
     }
@@ -61,45 +71,116 @@ impl IdTable {
     }
 
     pub(super) fn get(&self, id: CubeId) -> Option<Place> {
-        self.find(mix(id)).ok().map(|slot| self.slots[slot].place())
+        let mixed = mix(id);
+        let part = &self.parts[part_of(mixed)];
+        part.find(mixed).ok().map(|slot| part.slots[slot].place())
     }
 
     /// Asks for the memory in which an id is looked for.
     #[inline]
     pub(super) fn prefetch(&self, id: CubeId) {
-        prefetch(&self.slots, self.home(mix(id)));
+        let mixed = mix(id);
+        let part = &self.parts[part_of(mixed)];
+        prefetch(&part.slots, part.home(mixed));
     }
 
-    /// Makes room for so many more cubes at once, instead of step by step.
+    /// Makes room for about so many more cubes at once, instead of step by step.
     pub(super) fn reserve(&mut self, more: usize) {
+        // Parts do not fill alike: by a sixteenth more or less at most, nearly always, from so many cubes on.
+        if more >= PARTS * 1024 {
+            for part in &mut self.parts {
+                part.reserve(more / PARTS + more / PARTS / 16);
+            }
+        }
+    }
+
+    /// Inserts a cube; false, and nothing done, when the id is there.
+    pub(super) fn insert(&mut self, id: CubeId, place: Place) -> bool {
+        let mixed = mix(id);
+        let inserted = self.parts[part_of(mixed)].insert(mixed, Entry::new(id, place));
+        self.len += usize::from(inserted);
+        inserted
+    }
+
+    /// Removes a cube and says where it was.
+    pub(super) fn remove(&mut self, id: CubeId) -> Option<Place> {
+        let mixed = mix(id);
+        let place = self.parts[part_of(mixed)].remove(mixed)?;
+        self.len -= 1;
+        Some(place)
+    }
+
+    pub(super) fn iter(&self) -> impl Iterator<Item = (CubeId, Place)> + '_ {
+        self.parts.iter().flat_map(|part| part.cubes_from(0))
+    }
+
+    /// See `Engine::page`.
+    pub(super) fn page(
+        &self,
+        after: Option<Cursor>,
+        limit: usize,
+    ) -> (Vec<(CubeId, Place)>, Option<Cursor>) {
+        let (first, start) = match after {
+            None => (0, 0),
+            Some(Cursor(last)) => {
+                let first = part_of(last);
+                let slot = self.parts[first].find(last);
+                (first, slot.map_or_else(|next| next, |found| found + 1))
+            }
+        };
+        let later = self.parts[first + 1..].iter();
+        let later = later.flat_map(|part| part.cubes_from(0));
+        let mut following = self.parts[first].cubes_from(start).chain(later);
+        let cubes: Vec<_> = following.by_ref().take(limit).collect();
+        let cursor = following
+            .next()
+            .and(cubes.last())
+            .map(|(id, _)| Cursor(mix(*id)));
+        (cubes, cursor)
+    }
+
+    /// Bytes of the table.
+    pub(super) fn size(&self) -> usize {
+        let slots: usize = self.parts.iter().map(|part| part.slots.capacity()).sum();
+        slots * size_of::<Entry>() + PARTS * size_of::<Part>()
+    }
+}
+
+const PART_BITS: u32 = PARTS.ilog2();
+
+#[inline]
+fn part_of(mixed: u64) -> usize {
+    usize::try_from(mixed >> (u64::BITS - PART_BITS)).expect("it is less than 64")
+}
+
+impl Part {
+    fn reserve(&mut self, more: usize) {
         let needed = self.len + more;
         if needed * 5 > self.capacity * 4 {
             self.resize((needed * 4 / 3).max(self.capacity * 3 / 2));
         }
     }
 
-    /// Inserts a cube; false, and nothing done, when the id is there.
-    pub(super) fn insert(&mut self, id: CubeId, place: Place) -> bool {
+    fn insert(&mut self, mixed: u64, entry: Entry) -> bool {
         if (self.len + 1) * 5 > self.capacity * 4 {
-            self.resize(self.capacity * 3 / 2);
+            self.resize((self.capacity * 3 / 2).max(CAPACITY_MIN));
         }
-        let Err(slot) = self.find(mix(id)) else {
+        let Err(slot) = self.find(mixed) else {
             return false;
         };
         let Some(run) = self.slots[slot..].iter().position(Entry::is_empty) else {
-            // The tail is full: a run of more than TAIL at the very end. A larger table spreads it.
+            // The tail is full: a long run at the very end. A larger table spreads it.
             self.resize(self.capacity * 3 / 2);
-            return self.insert(id, place);
+            return self.insert(mixed, entry);
         };
         self.slots.copy_within(slot..slot + run, slot + 1);
-        self.slots[slot] = Entry::new(id, place);
+        self.slots[slot] = entry;
         self.len += 1;
         true
     }
 
-    /// Removes a cube and says where it was.
-    pub(super) fn remove(&mut self, id: CubeId) -> Option<Place> {
-        let slot = self.find(mix(id)).ok()?;
+    fn remove(&mut self, mixed: u64) -> Option<Place> {
+        let slot = self.find(mixed).ok()?;
         let place = self.slots[slot].place();
         // Everything behind it that is not in its own home moves one back.
         let run = self.slots[slot + 1..]
@@ -110,52 +191,25 @@ impl IdTable {
         self.slots.copy_within(slot + 1..=slot + run, slot);
         self.slots[slot + run] = EMPTY;
         self.len -= 1;
-        if self.len * 4 < self.capacity && self.capacity > CAPACITY_MIN {
+        if self.len == 0 {
+            *self = Self::default();
+        } else if self.len * 4 < self.capacity && self.capacity > CAPACITY_MIN {
             self.resize((self.capacity / 2).max(CAPACITY_MIN));
         }
         Some(place)
     }
 
-    pub(super) fn iter(&self) -> impl Iterator<Item = (CubeId, Place)> + '_ {
-        self.slots
+    fn cubes_from(&self, slot: usize) -> impl Iterator<Item = (CubeId, Place)> + '_ {
+        self.slots[slot..]
             .iter()
             .filter(|entry| !entry.is_empty())
             .map(|entry| (entry.id(), entry.place()))
     }
 
-    /// See `Engine::page`.
-    pub(super) fn page(
-        &self,
-        after: Option<Cursor>,
-        limit: usize,
-    ) -> (Vec<(CubeId, Place)>, Option<Cursor>) {
-        let start = match after {
-            None => 0,
-            Some(Cursor(last)) => match self.find(last) {
-                Ok(slot) => slot + 1,
-                Err(slot) => slot,
-            },
-        };
-        let mut following = self.slots[start..].iter().filter(|entry| !entry.is_empty());
-        let cubes: Vec<_> = following
-            .by_ref()
-            .take(limit)
-            .map(|entry| (entry.id(), entry.place()))
-            .collect();
-        let cursor = following
-            .next()
-            .and(cubes.last())
-            .map(|(id, _)| Cursor(mix(*id)));
-        (cubes, cursor)
-    }
-
-    /// Bytes of the table.
-    pub(super) fn size(&self) -> usize {
-        self.slots.capacity() * size_of::<Entry>()
-    }
-
+    /// From the bits that do not choose the part.
+    #[inline]
     fn home(&self, mixed: u64) -> usize {
-        let home = (u128::from(mixed) * self.capacity as u128) >> 64;
+        let home = (u128::from(mixed << PART_BITS) * self.capacity as u128) >> 64;
         usize::try_from(home).expect("a home is less than the capacity")
     }
 
@@ -197,10 +251,10 @@ impl IdTable {
         }
     }
 
-    /// Moves everything to a table of another capacity: one pass in order, since the order does not change.
+    /// Moves everything to slots of another capacity: one pass in order, since the order does not change.
     fn resize(&mut self, capacity: usize) {
         let mut larger = Self {
-            slots: vec![EMPTY; capacity + TAIL],
+            slots: vec![EMPTY; capacity + capacity.min(TAIL_MAX)],
             capacity,
             len: self.len,
         };

@@ -340,12 +340,9 @@ impl Engine {
     }
 
     fn insert(&mut self, id: CubeId, place: Place) {
-        let difference = if self.certificates.covers(place) {
-            None
-        } else {
-            self.marginal(place)
-        };
-        if let Some(difference) = difference {
+        if self.certificates.covers(place) {
+            self.hidden.insert(place, id);
+        } else if let Some(difference) = self.marginal(place) {
             self.show(id, place, &difference);
         } else {
             self.certificates.certify(place);

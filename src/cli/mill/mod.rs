@@ -313,7 +313,8 @@ fn report_cutting(cutting: &Cutting, args: &Args) -> String {
     let number = |value: f64| report::figure(&value.into());
     let mut text = String::new();
     let mut row = |name: &str, value: String| {
-        text += &format!("{name:<22}{value}\n");
+        use std::fmt::Write;
+        writeln!(text, "{name:<22}{value}").expect("a string takes everything");
     };
     row(
         "removed",
@@ -343,12 +344,15 @@ fn report_cutting(cutting: &Cutting, args: &Args) -> String {
     }
     let lines = |lines: &[u64], count: u64| {
         let shown: Vec<String> = lines.iter().take(10).map(u64::to_string).collect();
-        match (count, shown.len() as u64) {
-            (0, _) => "none".to_owned(),
-            (count, shown_count) if count > shown_count => {
-                format!("{count} lines: {}, ...", shown.join(", "))
-            }
-            (count, _) => format!("{count} lines: {}", shown.join(", ")),
+        let more = if count > shown.len() as u64 {
+            ", ..."
+        } else {
+            ""
+        };
+        let noun = if count == 1 { "line" } else { "lines" };
+        match count {
+            0 => "none".to_owned(),
+            _ => format!("{count} {noun}: {}{more}", shown.join(", ")),
         }
     };
     row(
@@ -360,7 +364,9 @@ fn report_cutting(cutting: &Cutting, args: &Args) -> String {
         let of: Vec<u64> = rapids.lines.iter().map(|cut| cut.line).collect();
         let mut said = lines(&of, rapids.count);
         if rapids.count > 0 {
-            said += &format!(" ({} {unit}^3)", number(rapids.volume));
+            use std::fmt::Write;
+            write!(said, " ({} {unit}^3)", number(rapids.volume))
+                .expect("a string takes everything");
         }
         row("rapids that cut", said);
     }

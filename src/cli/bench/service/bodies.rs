@@ -30,6 +30,8 @@ pub(super) enum Protocol {
     Ndjson,
     /// Protobuf over HTTP, a change a request
     Protobuf,
+    /// gRPC, a stream of changes a client
+    Grpc,
 }
 
 impl Protocol {
@@ -38,6 +40,7 @@ impl Protocol {
             Self::Json => "JSON",
             Self::Ndjson => "NDJSON",
             Self::Protobuf => "protobuf",
+            Self::Grpc => "gRPC",
         }
     }
 
@@ -45,7 +48,7 @@ impl Protocol {
         match self {
             Self::Json => "application/json",
             Self::Ndjson => "application/x-ndjson",
-            Self::Protobuf => "application/x-protobuf",
+            Self::Protobuf | Self::Grpc => "application/x-protobuf",
         }
     }
 
@@ -53,7 +56,7 @@ impl Protocol {
     pub(super) fn cubes_a_second_max(self, batch: usize) -> usize {
         let limit = match self {
             Self::Json | Self::Ndjson => 1_000_000,
-            Self::Protobuf => 2_000_000,
+            Self::Protobuf | Self::Grpc => 2_000_000,
         };
         limit.min(batch * 15_000)
     }
@@ -62,17 +65,7 @@ impl Protocol {
     pub(super) fn insert(self, cubes: &[Cube]) -> Bytes {
         let at = |cube: &Cube| cube.corner.map(units);
         match self {
-            Self::Protobuf => {
-                let column = |axis: usize| cubes.iter().map(|cube| cube.corner[axis]).collect();
-                let change = Change {
-                    insert_id: cubes.iter().map(|cube| cube.id).collect(),
-                    x: column(0),
-                    y: column(1),
-                    z: column(2),
-                    ..Change::default()
-                };
-                change.encode_to_vec().into()
-            }
+            Self::Protobuf | Self::Grpc => replacing(&[], cubes).encode_to_vec().into(),
             Self::Json => {
                 let mut text = String::from("{\"insert\":[");
                 for (number, cube) in cubes.iter().enumerate() {
@@ -106,18 +99,22 @@ fn units(steps: i32) -> String {
     format!("{}.{:03}", steps / STEPS_PER_UNIT, steps % STEPS_PER_UNIT)
 }
 
-/// A protobuf change that deletes cubes, and inserts others.
-pub(super) fn replace(deleted: &[Cube], inserted: &[Cube]) -> Bytes {
+/// A change that deletes cubes, and inserts others.
+pub(super) fn replacing(deleted: &[Cube], inserted: &[Cube]) -> Change {
     let column = |axis: usize| inserted.iter().map(|cube| cube.corner[axis]).collect();
-    let change = Change {
+    Change {
         delete: deleted.iter().map(|cube| cube.id).collect(),
         insert_id: inserted.iter().map(|cube| cube.id).collect(),
         x: column(0),
         y: column(1),
         z: column(2),
         ..Change::default()
-    };
-    change.encode_to_vec().into()
+    }
+}
+
+/// The same as a body.
+pub(super) fn replace(deleted: &[Cube], inserted: &[Cube]) -> Bytes {
+    replacing(deleted, inserted).encode_to_vec().into()
 }
 
 /// A cube as clients name it.

@@ -1,10 +1,11 @@
 //! `union3d bench service`: a real server process on a real disk, and clients on the same machine.
 //!
 //! ```text
-//!   bodies made beforehand ──> load: clients on one thread ──link──> server: this executable as `serve`, durable
+//!   bodies made beforehand ──> load: clients on one thread ──link, grpc──> server: this executable as `serve`, durable
 //! ```
 
 mod bodies;
+mod grpc;
 mod link;
 mod load;
 mod server;
@@ -13,6 +14,7 @@ use std::io::Write as _;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::rc::Rc;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
@@ -23,8 +25,10 @@ use rusqlite::Connection;
 use serde_json::Value;
 use union3d::engine::recount;
 use union3d::geometry::{Edge, Place};
+use union3d::wire::proto::Change;
 
 use self::bodies::{Cube, EDGE, Protocol, STEPS_PER_UNIT};
+use self::grpc::WINDOW;
 use self::link::Link;
 use self::load::{Done, Supply, on_this_thread};
 use self::server::Server;
@@ -184,6 +188,40 @@ fn sync_us(directory: &Path) -> std::io::Result<f64> {
     Ok(median(times))
 }
 
+/// What clients send, made beforehand.
+enum Load {
+    Http(Protocol, Vec<Bytes>),
+    Grpc(Rc<Vec<Change>>),
+}
+
+impl Load {
+    fn new(protocol: Protocol, changes: impl Iterator<Item = Vec<Cube>>) -> Self {
+        match protocol {
+            Protocol::Grpc => {
+                let changes = changes.map(|cubes| bodies::replacing(&[], &cubes));
+                Self::Grpc(Rc::new(changes.collect()))
+            }
+            _ => Self::Http(
+                protocol,
+                changes.map(|cubes| protocol.insert(&cubes)).collect(),
+            ),
+        }
+    }
+
+    async fn run(&self, server: &Server, clients: usize, time: Duration) -> Result<Done, Failure> {
+        match self {
+            Self::Http(protocol, bodies) => {
+                let kind = protocol.content_type();
+                let supply = Supply::posts(changes("bench"), kind, bodies.clone());
+                load::run(server.http, clients, supply, time).await
+            }
+            Self::Grpc(changes) => {
+                grpc::run(server.grpc, "bench", clients, Rc::clone(changes), time).await
+            }
+        }
+    }
+}
+
 /// What all parts need.
 struct Bench<'run> {
     args: &'run Args,
@@ -231,8 +269,13 @@ impl Bench<'_> {
         (1..=runs).inspect(move |run| bar.set_message(format!("{what}, run {run} of {runs}")))
     }
 
-    /// Bodies that insert cubes with the ids from 1 on, enough for one measurement.
-    fn bodies(&self, protocol: Protocol, batch: usize, clients: usize) -> Vec<Bytes> {
+    /// Cubes with the ids from 1 on, by changes: enough for one measurement.
+    fn changes(
+        &self,
+        protocol: Protocol,
+        batch: usize,
+        clients: usize,
+    ) -> impl Iterator<Item = Vec<Cube>> {
         let whole_seconds = usize::try_from(self.time.as_secs()).unwrap_or(usize::MAX) + 1;
         let cubes = protocol
             .cubes_a_second_max(batch)
@@ -240,18 +283,25 @@ impl Bench<'_> {
         // Each client at least one, or it would have nothing to do.
         let count = (cubes / batch).max(clients);
         let mut random = Random::new(self.args.seed);
-        let change = |number: usize| {
+        (0..count).map(move |number| {
             let first = number as u64 * batch as u64 + 1;
-            protocol.insert(&bodies::cubes(first, batch, &mut random))
-        };
-        (0..count).map(change).collect()
+            bodies::cubes(first, batch, &mut random)
+        })
+    }
+
+    fn protobuf_bodies(&self, batch: usize, clients: usize) -> Vec<Bytes> {
+        self.changes(Protocol::Protobuf, batch, clients)
+            .map(|cubes| Protocol::Protobuf.insert(&cubes))
+            .collect()
     }
 
     fn throughput(&self) -> Result<Table, Failure> {
         let mut table = Table::new(
             "Changes",
-            "Cubes acknowledged a second (every answer on stable storage), by protocol, cubes in a change and clients, each with one change at \
-             a time; how long a change takes, in milliseconds. Medians.",
+            format!(
+                "Cubes acknowledged a second (every answer on stable storage), by protocol, cubes in a change and clients, each with one \
+                 change at a time (gRPC: one stream, {WINDOW} changes in flight); how long a change takes, in milliseconds. Medians."
+            ),
             [
                 ("protocol", "protocol"),
                 ("cubes_per_change", "cubes a change"),
@@ -277,16 +327,14 @@ impl Bench<'_> {
             for &batch in &or(&self.args.batch, BATCHES) {
                 let clients = or(&self.args.clients, CLIENTS);
                 let most = clients.iter().copied().max().unwrap_or(1);
-                let bodies = self.bodies(*protocol, batch, most);
+                let load = Load::new(*protocol, self.changes(*protocol, batch, most));
                 for clients in clients {
                     let what = format!("{}: {batch} a change, {clients} clients", protocol.name());
                     let mut runs = Vec::new();
                     for _ in self.runs(&what) {
-                        let kind = protocol.content_type();
-                        let supply = Supply::posts(changes("bench"), kind, bodies.clone());
                         let done = on_this_thread(async {
                             create(server.http, "bench").await?;
-                            let done = load::run(server.http, clients, supply, self.time).await?;
+                            let done = load.run(&server, clients, self.time).await?;
                             check_and_drop(server.http, "bench", done.requests * batch).await?;
                             Ok(done)
                         })?;
@@ -327,7 +375,7 @@ impl Bench<'_> {
         );
         let data = self.data.join("queries");
         let server = on_this_thread(Server::start(&data))?;
-        let bodies = self.bodies(Protocol::Protobuf, FULL_SPEED_BATCH, FULL_SPEED_CLIENTS);
+        let bodies = self.protobuf_bodies(FULL_SPEED_BATCH, FULL_SPEED_CLIENTS);
         for query in [
             "mass-properties",
             "contains?at=50,50,50",
@@ -420,7 +468,7 @@ impl Bench<'_> {
         );
         let data = self.data.join("large");
         let server = on_this_thread(Server::start(&data))?;
-        let small = self.bodies(Protocol::Protobuf, 1, 1);
+        let small = self.protobuf_bodies(1, 1);
         let cubes = bodies::cubes(1, self.args.large, &mut Random::new(self.args.seed));
         let (all, none) = (bodies::replace(&[], &cubes), bodies::replace(&cubes, &[]));
         for beside in ["nothing", "inserting them", "deleting them"] {

@@ -19,6 +19,7 @@ const PATIENCE: Duration = Duration::from_mins(10);
 pub(super) struct Server {
     process: Child,
     pub(super) http: SocketAddr,
+    pub(super) grpc: SocketAddr,
     /// From the start of the process until it was ready.
     pub(super) start: Duration,
 }
@@ -29,15 +30,8 @@ impl Server {
         let started = Instant::now();
         let mut command = Command::new(std::env::current_exe()?);
         command
-            .args([
-                "serve",
-                "--http",
-                "127.0.0.1:0",
-                "--grpc",
-                "127.0.0.1:0",
-                "--log-filter",
-                "warn,tower_http=off",
-            ])
+            .args(["serve", "--http", "127.0.0.1:0", "--grpc", "127.0.0.1:0"])
+            .args(["--log-filter", "warn,tower_http=off"])
             .arg("--data")
             .arg(data)
             .stdin(Stdio::null())
@@ -46,19 +40,19 @@ impl Server {
         let output = process.stdout.take().expect("it is piped");
         let mut greeting = String::new();
         BufReader::new(output).read_line(&mut greeting)?;
-        let address = |name: &str| {
+        let address = |kind: &str| {
             let mut words = greeting.split_whitespace();
-            words.find_map(|word| word.strip_prefix(name))
+            words.find_map(|word| word.strip_prefix(kind)?.parse().ok())
         };
-        let http = address("http://").map(str::parse);
-        let Some(http) = http else {
+        let (Some(http), Some(grpc)) = (address("http://"), address("grpc://")) else {
             process.kill()?;
             let status = process.wait()?;
             return Err(format!("the server did not start ({status}): {greeting:?}").into());
         };
         let mut server = Self {
             process,
-            http: http?,
+            http,
+            grpc,
             start: Duration::ZERO,
         };
         let mut link = Link::open(server.http).await?;
