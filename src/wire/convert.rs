@@ -809,9 +809,7 @@ pub fn removal(duration_ns: Option<u64>, steps3: i128, settings: &Settings) -> R
         duration,
         volume,
         exact: steps3.to_string(),
-        rate: duration
-            .filter(|seconds| *seconds > 0.0)
-            .map(|seconds| volume / seconds),
+        rate: removal_rate(volume, duration),
     }
 }
 
