@@ -7,10 +7,10 @@
 //! One change, in a straight line; imports point the same way, never back (`tests/tidy.rs` keeps it so):
 //!
 //! ```text
-//!   HTTP ─> wire ─> service ─┬─> engine ─> geometry      judge, then add or retract local contributions
-//!            │        │      └─> log ────> geometry      append: an answer means fsynced
-//!            │        └─ publish: readers and subscribers see the new totals, without a lock
-//!            └─ the only floats: user units <-> lattice steps
+//!   HTTP ─┬> wire ─> service ─┬─> engine ─> geometry     judge, then add or retract local contributions
+//!   gRPC ─┘   │        │      └─> log ────> geometry     append: an answer means fsynced
+//!             │        └─ publish: readers and subscribers see the new totals, without a lock
+//!             └─ the only floats: user units <-> lattice steps
 //! ```
 //!
 //! | module | knows | must never know |
@@ -18,8 +18,8 @@
 //! | [`geometry`] | lattice, cubes, octant masks, weights, measures: integers only | I/O, async, serde, floats |
 //! | [`engine`] | the grid, the kernel, the set of cubes and its totals | the same, and who asks |
 //! | [`log`] | records, snapshots, SQLite, checksums | the engine, async, the wire |
-//! | [`service`] | scenes, their writers, queues, recovery | HTTP, JSON, user units |
-//! | [`wire`] | HTTP, JSON, protobuf, user units, problems | the log, the grid |
+//! | [`service`] | scenes, their writers, queues, recovery | HTTP, gRPC, JSON, user units |
+//! | [`wire`] | HTTP, gRPC, JSON, protobuf, user units, problems | the log, the grid |
 //! | [`toolpath`] | G-code to positions | everything else |
 //! | [`config`] | settings from file, environment and flags | how they are used |
 //!
