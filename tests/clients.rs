@@ -278,9 +278,7 @@ impl Actor {
             if again.is_none() && kind == 0 {
                 let sent = Instant::now();
                 let answer = get(self.http.get(url(scene, "/mass-properties"))).await;
-                let Some((_, text)) = answer else {
-                    return None;
-                };
+                let (_, text) = answer?;
                 let body: Value = serde_json::from_str(&text).unwrap();
                 let answered = Answered::Totals(body["seq"].as_u64().unwrap(), from_json(&body));
                 self.note(scene, None, sent, Some(answered));
@@ -288,9 +286,7 @@ impl Actor {
                 let sent = Instant::now();
                 let listing = self.http.get(url(scene, "/cubes"));
                 let answer = get(listing.header("accept", "application/x-ndjson")).await;
-                let Some((tag, text)) = answer else {
-                    return None;
-                };
+                let (tag, text) = answer?;
                 let seq = tag.trim_matches('"').rsplit('-').next().unwrap();
                 let lines = text.lines().map(|line| {
                     let line: Value = serde_json::from_str(line).unwrap();
