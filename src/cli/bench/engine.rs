@@ -1,5 +1,6 @@
 //! `union3d bench engine`: operations a second, latencies and memory of the engine alone.
 
+use std::num::NonZero;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
@@ -22,7 +23,10 @@ type Failure = Box<dyn std::error::Error>;
 /// Cubes in one change.
 const BATCHES: [usize; 4] = [1, 100, 10_000, 1_000_000];
 
-const THREADS: [usize; 2] = [1, 2];
+const THREADS: [NonZero<usize>; 2] = [
+    NonZero::<usize>::MIN,
+    NonZero::<usize>::MIN.saturating_add(1),
+];
 
 /// Measure the engine in this process: inserts, deletes, replacements, one by one and in batches
 #[derive(Debug, clap::Args)]
@@ -362,13 +366,10 @@ fn in_batches(
 ) -> Result<(), Failure> {
     let expected = scenario.totals();
     for threads in THREADS {
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .build()?;
         let mut cells = vec![
             text(scenario.name.as_str()),
             Cell::Count(scenario.cubes.len() as u64),
-            Cell::Count(threads as u64),
+            Cell::Count(threads.get() as u64),
         ];
         for batch in BATCHES {
             let mut rates: [Vec<f64>; 2] = Default::default();
@@ -377,15 +378,10 @@ fn in_batches(
                     "{}: in batches of {batch}, threads {threads}, run {number} of {}",
                     scenario.name, args.runs
                 ));
-                let mut set = Online::new(scenario.edge);
-                let (inserted, found, deleted) = pool.install(|| {
-                    let inserted =
-                        in_changes(&scenario.cubes, batch, |cubes| set.change(&[], cubes));
-                    let found = set.engine.totals();
-                    let deleted =
-                        in_changes(&scenario.cubes, batch, |cubes| set.change(cubes, &[]));
-                    (inserted, found, deleted)
-                });
+                let mut set = Online::threaded(scenario.edge, threads);
+                let inserted = in_changes(&scenario.cubes, batch, |cubes| set.change(&[], cubes));
+                let found = set.engine.totals();
+                let deleted = in_changes(&scenario.cubes, batch, |cubes| set.change(cubes, &[]));
                 if found != expected || set.engine.totals() != Totals::default() {
                     return Err(format!(
                         "{}: batches of {batch} on {threads} threads measure something else than single changes",

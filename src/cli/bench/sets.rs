@@ -1,6 +1,7 @@
 //! The three sets of cubes that are compared: the engine, and its two yardsticks.
 
 use std::collections::HashMap;
+use std::num::NonZero;
 use std::time::{Duration, Instant};
 
 use union3d::engine::{Bare, Engine};
@@ -42,6 +43,11 @@ pub(crate) struct Online {
 impl Online {
     pub(crate) fn new(edge: Edge) -> Self {
         Self::with(Engine::new(edge))
+    }
+
+    /// The same, large batches on so many threads.
+    pub(crate) fn threaded(edge: Edge, threads: NonZero<usize>) -> Self {
+        Self::with(Engine::new(edge).with_threads(threads))
     }
 
     pub(crate) fn with(engine: Engine) -> Self {

@@ -1,5 +1,6 @@
 //! `union3d bench union3`: Table 1 of UNION3's paper, twenty million random cubes.
 
+use std::num::NonZero;
 use std::process::{Command, ExitCode};
 use std::time::Instant;
 
@@ -267,7 +268,8 @@ fn in_a_process(way: Way, args: &Args) -> Result<Measured, Box<dyn std::error::E
 fn measure(way: Way, cubes: usize, seed: u64) -> Result<Measured, Box<dyn std::error::Error>> {
     let edge = Edge::new(EDGE_STEPS)?;
     let mut places = places(edge, cubes, box_side(cubes)?, seed);
-    let mut set = Online::new(edge);
+    let threads = NonZero::new(if way == Way::Batch2 { 2 } else { 1 });
+    let mut set = Online::threaded(edge, threads.expect("it is not zero"));
     let seconds = match way {
         Way::OneByOne => {
             // The places are made on the way, so that memory is the engine's alone; that takes some nanoseconds each.
@@ -283,12 +285,8 @@ fn measure(way: Way, cubes: usize, seed: u64) -> Result<Measured, Box<dyn std::e
                 deleted: Vec::new(),
                 inserted: ids.map(|id| (id, places())).collect(),
             };
-            let threads = if way == Way::Batch1 { 1 } else { 2 };
-            let pool = rayon::ThreadPoolBuilder::new()
-                .num_threads(threads)
-                .build()?;
             let started = Instant::now();
-            pool.install(|| set.engine.apply(&effect))?;
+            set.engine.apply(&effect)?;
             started.elapsed()
         }
     };

@@ -47,7 +47,7 @@ const WARNINGS_MAX: u64 = 10;
 The cutter is an axis-aligned cube of the given edge, centred on the path. It is put down at least once every --step along \
 straight lines and arcs, at both ends of every move, rounded to the lattice (halves away from zero); a place it is in already \
 is not counted again. Feed moves cut; --rapid counts the rapids (G0) too. With a stock rapids are always swept, and those that \
-remove something are reported.
+remove something are reported; only not before the first move in Z, because where the machine stands at the beginning is not known.
 
 Understood: G0 G1 G2 G3 (I J K or R, helices, full circles), G4, G17 G18 G19, G20 G21, G90 G91, G90.1 G91.1, G92, G93 G94, \
 modal words, line numbers, comments, M0 M1 M2 M30. What else stands in the program is reported by line, once per kind: ignored \
@@ -174,6 +174,9 @@ async fn mill(args: Args, settings: &Settings, (source, size): Input) -> Outcome
     let mut program = Moves::new(BufReader::new(source));
     let (mut moves, mut cubes) = (0, 0_u64);
     let mut part: Option<Part> = None;
+    let mut approach = Approach {
+        known: args.stock.is_none(),
+    };
     while let Some(event) = program.next() {
         let next = match event? {
             Event::Move(next) => next,
@@ -199,7 +202,11 @@ async fn mill(args: Args, settings: &Settings, (source, size): Input) -> Outcome
         }
         let mut open = part.take().unwrap_or_else(|| Part::new(next.line, rapid));
         open.last(seconds(&next, &args));
-        for place in cutter.places(&next) {
+        let Some(swept) = approach.swept(&next) else {
+            part = Some(open);
+            continue;
+        };
+        for place in cutter.places(&swept) {
             let place = place?;
             if let Some(out) = &mut out {
                 write(out, place)
@@ -240,6 +247,28 @@ async fn mill(args: Args, settings: &Settings, (source, size): Input) -> Outcome
     } else {
         ExitCode::SUCCESS
     })
+}
+
+/// The way to the work. Where the machine stands before a program begins is not known, so a rapid is no collision before the program
+/// has said how high the cutter is.
+struct Approach {
+    known: bool,
+}
+
+impl Approach {
+    /// What of a move is swept: all of it; of the rapid that gives the height first only its end; of those before nothing.
+    fn swept(&mut self, next: &Move) -> Option<Move> {
+        let mut swept = *next;
+        if !self.known && next.motion == Motion::Rapid {
+            if (next.start[2] - next.end[2]).abs() < f64::EPSILON {
+                return None;
+            }
+            swept.start = swept.end;
+            swept.length = 0.0;
+        }
+        self.known = true;
+        Some(swept)
+    }
 }
 
 /// Machine time of a move; none when the program gives no feed.
