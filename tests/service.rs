@@ -779,7 +779,9 @@ async fn replay_shows_its_progress_and_holds_up_nobody_else() {
     disk.hold(None);
     let old = running(&service, "old");
     assert_eq!(old.published().unwrap().seq, Seq(1));
-    assert_eq!(service.readiness(), Readiness::Ready { troubled: vec![] });
+    poll("readiness", || {
+        (service.readiness() == Readiness::Ready { troubled: vec![] }).then_some(())
+    });
     assert_eq!(old.settings(), "{}");
     assert_eq!(old.edge(), edge());
 }
