@@ -14,12 +14,14 @@
 //! Cubes that add nothing move to the hidden grid after their slice. That leaves the union as it is: each is covered by
 //! cubes before it, those of them that move too are covered by cubes before them, and so on.
 
+use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use crate::geometry::{CubeId, Place};
 
 use super::Engine;
-use super::grid::{Grid, Leaf};
+use super::access::Access;
+use super::grid::{Grid, Leaf, Settled};
 use super::marginal::{Difference, Kernel, Span};
 use super::neighbours::Neighbours;
 use super::scan::prefetch;
@@ -75,191 +77,294 @@ struct Found {
     boxes: Vec<Span>,
 }
 
+/// Cubes that one step puts into a grid or takes out of it.
+pub(super) const CUBES_A_STEP: usize = 256;
+
+/// Bins that one step makes ordinary ones again.
+const BINS_A_STEP: usize = 256;
+
+/// Bins that one step divides or unites, and cubes for which it looks after the levels: each may move a hundred cubes.
+const CROWDS_A_STEP: usize = 16;
+
+/// Inserts cubes whose ids are in the table already.
+pub(super) fn insert_batch(access: &impl Access, cubes: &[(CubeId, Place)]) {
+    let mut rest = cubes;
+    while !rest.is_empty() {
+        let visible = access.look(|engine| engine.visible.len());
+        let size = visible.clamp(SLICE_MIN, SLICE_MAX);
+        let (slice, after) = rest.split_at(size.min(rest.len()));
+        insert_slice(access, slice);
+        access.step(Engine::review_certificates);
+        rest = after;
+    }
+}
+
+fn insert_slice(access: &impl Access, cubes: &[(CubeId, Place)]) {
+    let mut helpers = access.step(|engine| engine.take_helpers(cubes.len()));
+    let plans = access.look(|engine| engine.plan(&mut helpers, cubes));
+    let mut touched = Vec::new();
+    for plan in &plans {
+        for first in (0..plan.order.len()).step_by(CUBES_A_STEP) {
+            access.step(|engine| {
+                let visible = &mut engine.visible;
+                for at in plan.step(first) {
+                    plan.prefetch(at, cubes, visible);
+                    let (id, place) = cubes[index_of(plan.order[at])];
+                    touched.extend(visible.insert_fresh(place, id));
+                }
+            });
+        }
+    }
+    let found = access.look(|engine| engine.evaluate(&mut helpers, &touched, cubes.len(), false));
+    for found in found {
+        if let Some(sum) = &found.sum {
+            access.step(|engine| engine.add(sum));
+        }
+        // From the last one back: what takes the place of a removed one has been looked at.
+        for some in found.covered.rchunks(CUBES_A_STEP) {
+            access.step(|engine| {
+                for &(leaf, index) in some.iter().rev() {
+                    let (place, id) = engine.visible.remove_fresh(leaf, index);
+                    engine.certificates.certify(place);
+                    engine.hidden.insert(place, id);
+                }
+            });
+        }
+    }
+    if access.look(|engine| engine.certificates.are_kept()) {
+        for some in touched.chunks(CROWDS_A_STEP) {
+            access.step(|engine| engine.certify_fresh(some));
+        }
+    }
+    settle(access, &touched);
+    for plan in plans {
+        for some in plan.covered.chunks(CUBES_A_STEP) {
+            access.step(|engine| {
+                for &index in some {
+                    let (id, place) = cubes[index];
+                    engine.hidden.insert(place, id);
+                }
+            });
+        }
+    }
+    access.step(|engine| engine.helpers = helpers);
+}
+
+/// Deletes cubes whose ids are no longer in the table.
+pub(super) fn delete_batch(access: &impl Access, cubes: &[(CubeId, Place)]) {
+    for slice in cubes.chunks(SLICE_MAX) {
+        if access.look(|engine| engine.hidden.len() == 0) {
+            delete_slice(access, slice);
+        } else {
+            let mut visible = Vec::with_capacity(slice.len());
+            for some in slice.chunks(CUBES_A_STEP) {
+                access.step(|engine| {
+                    let hidden = &mut engine.hidden;
+                    let shown = some
+                        .iter()
+                        .filter(|(id, place)| !hidden.remove(*place, *id));
+                    visible.extend(shown.copied());
+                });
+            }
+            delete_slice(access, &visible);
+        }
+        access.step(Engine::review_certificates);
+    }
+}
+
+/// Deletes visible cubes.
+fn delete_slice(access: &impl Access, cubes: &[(CubeId, Place)]) {
+    let mut helpers = access.step(|engine| engine.take_helpers(cubes.len()));
+    let plans = access.look(|engine| engine.order(&mut helpers, cubes));
+    let mut touched = Vec::new();
+    let mut count = 0;
+    for plan in &plans {
+        for first in (0..plan.order.len()).step_by(CUBES_A_STEP) {
+            access.step(|engine| {
+                for at in plan.step(first) {
+                    plan.prefetch(at, cubes, &engine.visible);
+                    let (id, place) = cubes[index_of(plan.order[at])];
+                    if !engine.hand_over(id, place) {
+                        touched.extend(engine.visible.make_fresh(place, id));
+                        count += 1;
+                    }
+                }
+            });
+        }
+    }
+    let found = access.look(|engine| {
+        let boxes = engine.hidden.len() > 0;
+        engine.evaluate(&mut helpers, &touched, count, boxes)
+    });
+    for some in touched.chunks(CROWDS_A_STEP) {
+        access.step(|engine| {
+            for leaf in some {
+                engine.visible.remove_all_fresh(*leaf);
+            }
+        });
+    }
+    settle(access, &touched);
+    for found in &found {
+        if let Some(sum) = &found.sum {
+            access.step(|engine| engine.retract(sum));
+        }
+        for some in found.boxes.chunks(CUBES_A_STEP) {
+            access.step(|engine| {
+                for bare in some {
+                    engine.certificates.revoke(bare);
+                }
+            });
+        }
+    }
+    for found in found {
+        let mut boxes = found.boxes.as_slice();
+        for (place, count) in found.bare {
+            let (bare, after) = boxes.split_at(count);
+            access.step(|engine| {
+                engine.work.uncovered.clear();
+                engine.work.uncovered.extend_from_slice(bare);
+                engine.promote(place);
+            });
+            boxes = after;
+        }
+    }
+    access.step(|engine| engine.helpers = helpers);
+}
+
+/// Makes the fresh cubes of some bins ordinary ones, and looks after these bins. They are no longer known afterwards.
+fn settle(access: &impl Access, touched: &[Leaf]) {
+    let mut settled = Settled::default();
+    for some in touched.chunks(BINS_A_STEP) {
+        access.step(|engine| engine.visible.settle(some, &mut settled));
+    }
+    for some in settled.crowded.chunks(CROWDS_A_STEP) {
+        access.step(|engine| {
+            for leaf in some {
+                engine.visible.divide_crowded(*leaf);
+            }
+        });
+    }
+    for some in settled.corners.chunks(CROWDS_A_STEP) {
+        access.step(|engine| {
+            for corner in some {
+                engine.visible.unite_sparse(*corner);
+            }
+        });
+    }
+    for first in (0..=settled.cubes).step_by(CROWDS_A_STEP) {
+        access.step(|engine| {
+            for _ in first..(first + CROWDS_A_STEP).min(settled.cubes + 1) {
+                engine.visible.take_turn();
+            }
+        });
+    }
+}
+
+impl Plan {
+    /// The places in the order that a step from `first` on takes.
+    fn step(&self, first: usize) -> Range<usize> {
+        first..self.order.len().min(first + CUBES_A_STEP)
+    }
+
+    /// Asks for the memory that cubes some places later need.
+    #[inline]
+    fn prefetch(&self, at: usize, cubes: &[(CubeId, Place)], visible: &Grid) {
+        if let Some(code) = self.order.get(at + 2 * AHEAD) {
+            prefetch(cubes, index_of(*code));
+        }
+        if let Some(code) = self.order.get(at + AHEAD) {
+            visible.prefetch(cubes[index_of(*code)].1);
+        }
+    }
+}
+
 impl Engine {
-    /// Inserts cubes whose ids are in the table already.
-    pub(super) fn insert_batch(&mut self, cubes: &[(CubeId, Place)]) {
-        let mut rest = cubes;
-        while !rest.is_empty() {
-            let size = self.visible.len().clamp(SLICE_MIN, SLICE_MAX);
-            let (slice, after) = rest.split_at(size.min(rest.len()));
-            self.insert_slice(slice);
-            self.certificates.review(&self.visible, &self.hidden);
-            rest = after;
-        }
+    fn review_certificates(&mut self) {
+        self.certificates.review(&self.visible, &self.hidden);
     }
 
-    fn insert_slice(&mut self, cubes: &[(CubeId, Place)]) {
-        let plans = self.plan(cubes);
-        let mut touched = Vec::new();
-        for plan in &plans {
-            for (at, code) in plan.order.iter().enumerate() {
-                if let Some(code) = plan.order.get(at + 2 * AHEAD) {
-                    prefetch(cubes, index_of(*code));
-                }
-                if let Some(code) = plan.order.get(at + AHEAD) {
-                    self.visible.prefetch(cubes[index_of(*code)].1);
-                }
-                let (id, place) = cubes[index_of(*code)];
-                touched.extend(self.visible.insert_fresh(place, id));
-            }
-        }
-        let found = self.evaluate(&touched, cubes.len(), false);
-        for found in found {
-            if let Some(sum) = &found.sum {
-                self.add(sum);
-            }
-            // From the last one back: what takes the place of a removed one has been looked at.
-            for (leaf, index) in found.covered.into_iter().rev() {
-                let (place, id) = self.visible.remove_fresh(leaf, index);
+    /// Certifies the fresh cubes of some bins.
+    fn certify_fresh(&mut self, bins: &[Leaf]) {
+        for bin in bins.iter().filter_map(|leaf| self.visible.bin(*leaf)) {
+            for index in bin.len() - bin.fresh()..bin.len() {
+                let place = Place::from_checked(bin.corner(index));
                 self.certificates.certify(place);
-                self.hidden.insert(place, id);
-            }
-        }
-        if self.certificates.are_kept() {
-            for bin in touched.iter().filter_map(|leaf| self.visible.bin(*leaf)) {
-                for index in bin.len() - bin.fresh()..bin.len() {
-                    let place = Place::from_checked(bin.corner(index));
-                    self.certificates.certify(place);
-                }
-            }
-        }
-        self.visible.settle(&touched);
-        for plan in plans {
-            for index in plan.covered {
-                let (id, place) = cubes[index];
-                self.hidden.insert(place, id);
-            }
-        }
-    }
-
-    /// Deletes cubes whose ids are no longer in the table.
-    pub(super) fn delete_batch(&mut self, cubes: &[(CubeId, Place)]) {
-        for slice in cubes.chunks(SLICE_MAX) {
-            let visible: Vec<(CubeId, Place)> = if self.hidden.len() == 0 {
-                slice.to_vec()
-            } else {
-                let hidden = &mut self.hidden;
-                let shown = slice
-                    .iter()
-                    .filter(|(id, place)| !hidden.remove(*place, *id));
-                shown.copied().collect()
-            };
-            self.delete_slice(&visible);
-            self.certificates.review(&self.visible, &self.hidden);
-        }
-    }
-
-    /// Deletes visible cubes.
-    fn delete_slice(&mut self, cubes: &[(CubeId, Place)]) {
-        let mut touched = Vec::new();
-        let mut count = 0;
-        for plan in self.order(cubes) {
-            for (at, code) in plan.order.iter().enumerate() {
-                if let Some(code) = plan.order.get(at + 2 * AHEAD) {
-                    prefetch(cubes, index_of(*code));
-                }
-                if let Some(code) = plan.order.get(at + AHEAD) {
-                    self.visible.prefetch(cubes[index_of(*code)].1);
-                }
-                let (id, place) = cubes[index_of(*code)];
-                if !self.hand_over(id, place) {
-                    touched.extend(self.visible.make_fresh(place, id));
-                    count += 1;
-                }
-            }
-        }
-        let found = self.evaluate(&touched, count, self.hidden.len() > 0);
-        for leaf in &touched {
-            self.visible.remove_all_fresh(*leaf);
-        }
-        self.visible.settle(&touched);
-        for found in &found {
-            if let Some(sum) = &found.sum {
-                self.retract(sum);
-            }
-            for bare in &found.boxes {
-                self.certificates.revoke(bare);
-            }
-        }
-        for found in found {
-            let mut boxes = found.boxes.as_slice();
-            for (place, count) in found.bare {
-                let (bare, after) = boxes.split_at(count);
-                self.work.uncovered.clear();
-                self.work.uncovered.extend_from_slice(bare);
-                self.promote(place);
-                boxes = after;
             }
         }
     }
 
     /// The order of cubes, without those that certificates cover.
-    fn plan(&mut self, cubes: &[(CubeId, Place)]) -> Vec<Plan> {
+    fn plan(&self, helpers: &mut [Helper], cubes: &[(CubeId, Place)]) -> Vec<Plan> {
         if !self.certificates.are_kept() {
-            return self.order(cubes);
+            return self.order(helpers, cubes);
         }
         let (codes, size) = (Codes::of(&self.visible, cubes), self.share(cubes.len()));
-        let certificates = &self.certificates;
-        in_parallel(
-            &mut self.helpers[..cubes.len().div_ceil(size)],
-            |number, _| {
-                let first = number * size;
-                let mut plan = Plan::default();
-                for (index, (_, place)) in cubes.iter().enumerate().skip(first).take(size) {
-                    if certificates.covers(*place) {
-                        plan.covered.push(index);
-                    } else {
-                        plan.order.push(codes.code(*place, index));
-                    }
+        in_parallel(&mut helpers[..cubes.len().div_ceil(size)], |number, _| {
+            let first = number * size;
+            let mut plan = Plan::default();
+            for (index, (_, place)) in cubes.iter().enumerate().skip(first).take(size) {
+                if self.certificates.covers(*place) {
+                    plan.covered.push(index);
+                } else {
+                    plan.order.push(codes.code(*place, index));
                 }
-                plan.order.sort_unstable();
-                plan
-            },
-        )
+            }
+            plan.order.sort_unstable();
+            plan
+        })
     }
 
     /// The order of cubes.
-    fn order(&mut self, cubes: &[(CubeId, Place)]) -> Vec<Plan> {
+    fn order(&self, helpers: &mut [Helper], cubes: &[(CubeId, Place)]) -> Vec<Plan> {
         let (codes, size) = (Codes::of(&self.visible, cubes), self.share(cubes.len()));
-        in_parallel(
-            &mut self.helpers[..cubes.len().div_ceil(size)],
-            |number, _| {
-                let part = cubes.iter().enumerate().skip(number * size).take(size);
-                let codes = part.map(|(index, (_, place))| codes.code(*place, index));
-                let mut order: Vec<u64> = codes.collect();
-                order.sort_unstable();
-                Plan {
-                    order,
-                    covered: Vec::new(),
-                }
-            },
-        )
+        in_parallel(&mut helpers[..cubes.len().div_ceil(size)], |number, _| {
+            let part = cubes.iter().enumerate().skip(number * size).take(size);
+            let codes = part.map(|(index, (_, place))| codes.code(*place, index));
+            let mut order: Vec<u64> = codes.collect();
+            order.sort_unstable();
+            Plan {
+                order,
+                covered: Vec::new(),
+            }
+        })
     }
 
-    /// How many of so many cubes each thread takes, and as many helpers as there are shares.
-    fn share(&mut self, count: usize) -> usize {
+    /// How many of so many cubes each thread takes.
+    fn share(&self, count: usize) -> usize {
         let threads = if count < PARALLEL_MIN {
             1
         } else {
             self.threads
         };
-        while self.helpers.len() < threads {
+        count.div_ceil(threads).max(1)
+    }
+
+    /// As many helpers as so many cubes need, or more; to be given back.
+    fn take_helpers(&mut self, count: usize) -> Vec<Helper> {
+        let needed = count.div_ceil(self.share(count));
+        while self.helpers.len() < needed {
             self.helpers.push(Helper {
                 kernel: self.kernel.clone(),
                 neighbours: Neighbours::new(),
                 uncovered: Vec::new(),
             });
         }
-        count.div_ceil(threads).max(1)
+        std::mem::take(&mut self.helpers)
     }
 
     /// Evaluates the fresh cubes, `count` in all, of the bins that have any; with the boxes around what they would leave
     /// bare when asked to.
-    fn evaluate(&mut self, touched: &[Leaf], count: usize, boxes: bool) -> Vec<Found> {
+    fn evaluate(
+        &self,
+        helpers: &mut [Helper],
+        touched: &[Leaf],
+        count: usize,
+        boxes: bool,
+    ) -> Vec<Found> {
         let size = self.share(count);
         let visible = &self.visible;
         let next = AtomicUsize::new(0);
-        in_parallel(&mut self.helpers[..count.div_ceil(size)], |_, helper| {
+        in_parallel(&mut helpers[..count.div_ceil(size)], |_, helper| {
             let mut found = Found::default();
             loop {
                 let first = next.fetch_add(BINS_AT_ONCE, Ordering::Relaxed);

@@ -58,6 +58,15 @@ pub(super) struct Leaf {
     key: BinKey,
 }
 
+/// What is to be looked after once a batch is in the bins: crowded ones first, then sparse ones, then the levels.
+#[derive(Default)]
+pub(super) struct Settled {
+    pub(super) crowded: Vec<Leaf>,
+    pub(super) corners: Vec<[i32; 3]>,
+    /// How many cubes of the batch stayed.
+    pub(super) cubes: usize,
+}
+
 /// More cubes in a bin than this, and it is divided.
 const CROWD_MAX: usize = 96;
 /// So few cubes in a divided bin, and it is one again; when a level is widened, twice as many.
@@ -315,29 +324,18 @@ impl Grid {
         }
     }
 
-    /// Makes the fresh cubes of some bins ordinary ones, and looks after these bins. They are no longer known afterwards.
-    pub(super) fn settle(&mut self, leaves: &[Leaf]) {
-        let corners: Vec<_> = leaves.iter().map(|leaf| self.corner_of(*leaf)).collect();
-        let mut crowded = Vec::new();
-        let mut cubes = 0;
+    /// Makes the fresh cubes of some bins ordinary ones, and notes what is to be looked after then.
+    pub(super) fn settle(&mut self, leaves: &[Leaf], settled: &mut Settled) {
         for leaf in leaves {
+            settled.corners.push(self.corner_of(*leaf));
             if self.bin(*leaf).is_some() {
                 let bin = self.bin_mut(*leaf);
-                cubes += bin.fresh();
+                settled.cubes += bin.fresh();
                 bin.set_fresh(0);
                 if bin.len() > CROWD_MAX {
-                    crowded.push(*leaf);
+                    settled.crowded.push(*leaf);
                 }
             }
-        }
-        for leaf in crowded {
-            self.divide_crowded(leaf);
-        }
-        for corner in corners {
-            self.unite_sparse(corner);
-        }
-        for _ in 0..=cubes {
-            self.take_turn();
         }
     }
 
@@ -486,7 +484,7 @@ impl Grid {
 
     /// Divides a bin, and those it is divided into as long as they are crowded, unless bins must not be so narrow.
     #[cold]
-    fn divide_crowded(&mut self, leaf: Leaf) {
+    pub(super) fn divide_crowded(&mut self, leaf: Leaf) {
         let shift = shift_of(self.shift, leaf.level);
         if self.narrowest.is_none_or(|narrowest| shift <= narrowest) {
             return;
@@ -519,7 +517,7 @@ impl Grid {
 
     /// Makes one of the divided bins at `corner` undivided when there are few cubes in it.
     #[inline]
-    fn unite_sparse(&mut self, corner: [i32; 3]) {
+    pub(super) fn unite_sparse(&mut self, corner: [i32; 3]) {
         for level in 0..self.levels.len() {
             let key = self.key(level, corner);
             match self.levels[level].get(key) {
@@ -585,7 +583,7 @@ impl Grid {
 
     /// Looks at the levels when the number of cubes has changed much, and does a part of what was begun.
     #[inline]
-    fn take_turn(&mut self) {
+    pub(super) fn take_turn(&mut self) {
         if !matches!(self.turn, Turn::Rest) {
             self.turn_some();
             // While there are few, it is done at once; so bins suit even a set that comes in one change.

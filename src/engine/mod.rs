@@ -14,6 +14,7 @@
 //! Invariants: every cube of `ids` is in exactly one grid; the union of the visible cubes is the union of all; `totals`
 //! are those of [`recount`].
 
+mod access;
 mod audit;
 mod bare;
 mod batch;
@@ -27,15 +28,17 @@ mod marginal;
 mod neighbours;
 mod scan;
 
+use std::cell::RefCell;
 use std::num::NonZero;
 use std::ops::ControlFlow;
 use std::thread::available_parallelism;
 
 use crate::geometry::{CUBES_MAX, CubeId, Edge, Effect, Place, Stock, Totals};
 
+pub use access::Access;
 pub use audit::recount;
 pub use bare::Bare;
-use batch::{AHEAD, BATCH_MIN, Helper};
+use batch::{AHEAD, BATCH_MIN, CUBES_A_STEP, Helper, delete_batch, insert_batch};
 use certificates::Certificates;
 use grid::Grid;
 use ids::IdTable;
@@ -120,8 +123,26 @@ pub enum Side {
 }
 
 /// Position in the listing of a scene's cubes; the order is fixed by the ids alone, whatever the history.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
 pub struct Cursor(pub u64);
+
+impl Cursor {
+    /// Where a cube stands in the listing.
+    pub fn of(id: CubeId) -> Self {
+        Self(ids::mix(id))
+    }
+}
+
+/// The first `limit` cubes of a listing, and the cursor of the last of them when more follow.
+pub fn page(
+    mut cubes: impl Iterator<Item = (CubeId, Place)>,
+    limit: usize,
+) -> (Vec<(CubeId, Place)>, Option<Cursor>) {
+    let page: Vec<_> = cubes.by_ref().take(limit).collect();
+    let more = cubes.next();
+    let cursor = more.and(page.last()).map(|(id, _)| Cursor::of(*id));
+    (page, cursor)
+}
 
 /// A persistent set of identical cubes whose totals are always current.
 #[derive(Debug)]
@@ -267,48 +288,39 @@ impl Engine {
     /// # Errors
     /// [`Inconsistent`] when the effect does not fit; then nothing has changed.
     pub fn apply(&mut self, effect: &Effect) -> Result<(), Inconsistent> {
-        self.apply_ids(effect)?;
-        if effect.deleted.len() < BATCH_MIN {
-            for &(id, place) in &effect.deleted {
-                self.delete(id, place);
-            }
-        } else {
-            self.delete_batch(&effect.deleted);
-        }
-        if effect.inserted.len() < BATCH_MIN {
-            for &(id, place) in &effect.inserted {
-                self.insert(id, place);
-            }
-        } else {
-            self.insert_batch(&effect.inserted);
-        }
-        self.totals.cubes = self.len();
-        self.totals.bounds = self.visible.bounds();
-        Ok(())
+        Self::apply_through(&RefCell::new(self), effect)
     }
 
-    /// The part of an effect that can fail. Undone to the last cube when it does.
-    fn apply_ids(&mut self, effect: &Effect) -> Result<(), Inconsistent> {
-        let misfit = self.remove_ids(&effect.deleted).err().map(|done| (done, 0));
-        let misfit = misfit.or_else(|| {
-            let misfit = self.insert_ids(&effect.inserted).err();
-            misfit.map(|done| (effect.deleted.len(), done))
+    /// The same to an engine that others read meanwhile, and nobody else changes. Until it returns they find in [`Self::get`],
+    /// [`Self::cubes_after`] and [`Self::each_at`] every cube that the effect does not name, and some of those
+    /// that it does; totals are not current.
+    /// # Errors
+    /// As of [`Self::apply`].
+    pub fn apply_through(access: &impl Access, effect: &Effect) -> Result<(), Inconsistent> {
+        apply_ids(access, effect)?;
+        if effect.deleted.len() < BATCH_MIN {
+            access.step(|engine| {
+                for &(id, place) in &effect.deleted {
+                    engine.delete(id, place);
+                }
+            });
+        } else {
+            delete_batch(access, &effect.deleted);
+        }
+        if effect.inserted.len() < BATCH_MIN {
+            access.step(|engine| {
+                for &(id, place) in &effect.inserted {
+                    engine.insert(id, place);
+                }
+            });
+        } else {
+            insert_batch(access, &effect.inserted);
+        }
+        access.step(|engine| {
+            engine.totals.cubes = engine.len();
+            engine.totals.bounds = engine.visible.bounds();
         });
-        let Some((deleted, inserted)) = misfit else {
-            return Ok(());
-        };
-        for (id, _) in effect.inserted[..inserted].iter().rev() {
-            self.ids.remove(*id).expect("it was inserted a moment ago");
-        }
-        for (id, place) in effect.deleted[..deleted].iter().rev() {
-            assert!(self.ids.insert(*id, *place), "it was removed a moment ago");
-        }
-        let at_fault = effect
-            .deleted
-            .get(deleted)
-            .or_else(|| effect.inserted.get(inserted));
-        let (id, _) = *at_fault.expect("one of them did not fit");
-        Err(Inconsistent { id })
+        Ok(())
     }
 
     /// Removes cubes from the table of ids; the error is how many were removed before one did not fit.
@@ -327,7 +339,6 @@ impl Engine {
 
     /// Inserts cubes into the table of ids; the error is how many were inserted before one did not fit.
     fn insert_ids(&mut self, cubes: &[(CubeId, Place)]) -> Result<(), usize> {
-        self.ids.reserve(cubes.len());
         for (done, (id, place)) in cubes.iter().enumerate() {
             if let Some((ahead, _)) = cubes.get(done + AHEAD) {
                 self.ids.prefetch(*ahead);
@@ -489,50 +500,127 @@ impl Engine {
             .uncovered(place, &self.work.neighbours, &mut self.work.uncovered)
     }
 
-    /// Up to `limit` cubes after the cursor (from the beginning without one), and the cursor of the last when more follow.
-    /// A cube that is there during the whole listing is listed exactly once, whatever changes meanwhile. O(limit).
-    pub fn page(
-        &self,
-        after: Option<Cursor>,
-        limit: usize,
-    ) -> (Vec<(CubeId, Place)>, Option<Cursor>) {
-        self.ids.page(after, limit)
-    }
-
     /// All cubes with their ids, in the order of the listing. O(cubes).
     pub fn cubes(&self) -> impl Iterator<Item = (CubeId, Place)> + '_ {
-        self.ids.iter()
+        self.cubes_after(None)
+    }
+
+    /// The cubes that stand after the cursor in the listing, in its order; all of them without a cursor. A cube that is there
+    /// during a whole listing made in several parts is listed exactly once, whatever changes meanwhile.
+    pub fn cubes_after(&self, after: Option<Cursor>) -> impl Iterator<Item = (CubeId, Place)> + '_ {
+        self.ids.cubes_after(after)
     }
 
     /// Where a lattice point lies, and the cube of least id that holds it (closed cubes). O(cubes around the point).
     pub fn contains(&self, point: [i32; 3]) -> (Side, Option<(CubeId, Place)>) {
-        let edge = self.edge.steps();
-        let Some(min) = lower_corner_of_reach(point, edge) else {
-            return (Side::Outside, None);
-        };
-        let mut mask = 0u8;
-        let mut holder: Option<(CubeId, Place)> = None;
-        let mut look = |corner: [i32; 3], id: CubeId| {
-            mask |= octants_filled(corner, point, edge);
-            if holder.is_none_or(|(least, _)| id < least) {
-                holder = Some((id, Place::from_checked(corner)));
-            }
-            ControlFlow::<()>::Continue(())
+        let mut held = Held::new(self.edge, point);
+        self.each_at(point, |id, place| held.by(id, place));
+        held.answer()
+    }
+
+    /// Calls `visit` with every cube that holds a point (closed cubes). O(cubes around the point).
+    pub fn each_at(&self, point: [i32; 3], mut visit: impl FnMut(CubeId, Place)) {
+        let Some(min) = lower_corner_of_reach(point, self.edge.steps()) else {
+            return;
         };
         for grid in [&self.visible, &self.hidden] {
-            let all = grid.visit(min, point, &mut look);
+            let all = grid.visit(min, point, |corner, id| {
+                visit(id, Place::from_checked(corner));
+                ControlFlow::<()>::Continue(())
+            });
             debug_assert!(
                 all.is_continue(),
                 "every cube around the point is looked at"
             );
         }
-        let side = match mask {
+    }
+}
+
+/// Which cubes hold a point, looked at one after the other.
+#[derive(Debug)]
+pub struct Held {
+    edge: i32,
+    point: [i32; 3],
+    mask: u8,
+    least: Option<(CubeId, Place)>,
+}
+
+impl Held {
+    /// No cube yet.
+    pub fn new(edge: Edge, point: [i32; 3]) -> Self {
+        Self {
+            edge: edge.steps(),
+            point,
+            mask: 0,
+            least: None,
+        }
+    }
+
+    /// Adds a cube that holds the point.
+    pub fn by(&mut self, id: CubeId, place: Place) {
+        self.mask |= octants_filled(place.corner(), self.point, self.edge);
+        if self.least.is_none_or(|(least, _)| id < least) {
+            self.least = Some((id, place));
+        }
+    }
+
+    /// Where the point lies in the union of the cubes added, and the one of least id.
+    pub fn answer(&self) -> (Side, Option<(CubeId, Place)>) {
+        let side = match self.mask {
             0 => Side::Outside,
             u8::MAX => Side::Inside,
             _ => Side::Boundary,
         };
-        (side, holder)
+        (side, self.least)
     }
+}
+
+/// The part of an effect that can fail. Undone to the last cube when it does.
+fn apply_ids(access: &impl Access, effect: &Effect) -> Result<(), Inconsistent> {
+    let misfit = in_steps(access, &effect.deleted, Engine::remove_ids)
+        .err()
+        .map(|done| (done, 0));
+    let misfit = misfit.or_else(|| {
+        access.step(|engine| engine.ids.reserve(effect.inserted.len()));
+        let misfit = in_steps(access, &effect.inserted, Engine::insert_ids).err();
+        misfit.map(|done| (effect.deleted.len(), done))
+    });
+    let Some((deleted, inserted)) = misfit else {
+        return Ok(());
+    };
+    access.step(|engine| {
+        for (id, _) in effect.inserted[..inserted].iter().rev() {
+            engine
+                .ids
+                .remove(*id)
+                .expect("it was inserted a moment ago");
+        }
+        for (id, place) in effect.deleted[..deleted].iter().rev() {
+            assert!(
+                engine.ids.insert(*id, *place),
+                "it was removed a moment ago"
+            );
+        }
+    });
+    let at_fault = effect
+        .deleted
+        .get(deleted)
+        .or_else(|| effect.inserted.get(inserted));
+    let (id, _) = *at_fault.expect("one of them did not fit");
+    Err(Inconsistent { id })
+}
+
+/// Takes cubes to `task`, so many a step, until it fails; the error is how many were done before.
+fn in_steps(
+    access: &impl Access,
+    cubes: &[(CubeId, Place)],
+    task: fn(&mut Engine, &[(CubeId, Place)]) -> Result<(), usize>,
+) -> Result<(), usize> {
+    for (some, number) in cubes.chunks(CUBES_A_STEP).zip(0..) {
+        let done = access.step(|engine| task(engine, some));
+        done.map_err(|done| number * CUBES_A_STEP + done)?;
+    }
+    Ok(())
 }
 
 /// Least lower corner of a cube that can hold the point; none when no cube can lie there.

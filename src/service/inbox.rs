@@ -1,4 +1,4 @@
-//! What waits for a scene's writer: a bounded queue of changes, a queue of questions, and how it all ends.
+//! What waits for a scene's writer: a bounded queue of changes, and how it all ends.
 //!
 //! One mutex, held only to move pointers. A `Condvar` rather than an async channel, because the writer is a thread.
 
@@ -8,7 +8,6 @@ use std::time::{Duration, Instant};
 use parking_lot::{Condvar, Mutex};
 use tokio::sync::{Notify, futures::Notified, oneshot};
 
-use super::writer::View;
 use super::{Applied, Chain, Operations, ServiceError, Submission, meters};
 
 /// Operations that may wait in one queue, whatever the number of changes: bounds its memory (some hundred megabytes).
@@ -33,9 +32,6 @@ pub(super) struct Pending {
     pub(super) reply: Reply,
 }
 
-/// Something to be read from the engine between two group commits. Dropped unanswered when the scene stops.
-pub(super) type Question = Box<dyn FnOnce(&View<'_>) + Send>;
-
 /// How a scene ends.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum End {
@@ -59,14 +55,6 @@ pub(super) enum Shut {
     },
 }
 
-/// What the writer does next.
-pub(super) struct Work {
-    /// Questions, to be answered first: they see the last durable state.
-    pub(super) questions: VecDeque<Question>,
-    /// Changes that share one commit.
-    pub(super) group: Vec<Pending>,
-}
-
 /// The queues of one scene.
 #[derive(Default)]
 pub(super) struct Inbox {
@@ -84,7 +72,6 @@ struct State {
     changes: VecDeque<Pending>,
     /// Operations in `changes`.
     operations: usize,
-    questions: VecDeque<Question>,
 }
 
 impl Submission {
@@ -169,33 +156,20 @@ impl Inbox {
         Ok(())
     }
 
-    /// Queues a question. While the service shuts down questions are still answered: their number is bounded by the callers who wait.
-    pub(super) fn ask(&self, question: Question) -> Result<(), Shut> {
-        let mut state = self.state.lock();
-        if state.end != Some(End::Shutdown) || !state.open {
-            state.check()?;
-        }
-        state.questions.push_back(question);
-        drop(state);
-        self.wake.notify_all();
-        Ok(())
-    }
-
     /// Ready when a queue that is full now may have room, or is closed.
     pub(super) fn room(&self) -> Notified<'_> {
         self.room.notified()
     }
 
-    /// Lets changes and questions in, unless the scene has ended.
+    /// Lets changes in, unless the scene has ended.
     pub(super) fn open(&self) {
         self.state.lock().open = true;
     }
 
-    /// Lets nothing in any more and hands out the changes that waited; the questions are dropped.
+    /// Lets nothing in any more and hands out those that waited.
     pub(super) fn close(&self) -> VecDeque<Pending> {
         let mut state = self.state.lock();
         state.open = false;
-        state.questions.clear();
         state.operations = 0;
         let changes = std::mem::take(&mut state.changes);
         drop(state);
@@ -220,11 +194,16 @@ impl Inbox {
         self.state.lock().end
     }
 
-    /// Waits until there is work or, when `idle_work` is there, does not wait. None: there is no more work, the inbox is closed.
-    pub(super) fn take(&self, group_operations_max: usize, idle_work: bool) -> Option<Work> {
+    /// The changes that share the next commit. Waits until there are any or, when `idle_work` is there, does not wait.
+    /// None: there will be no more, the inbox is closed.
+    pub(super) fn take(
+        &self,
+        group_operations_max: usize,
+        idle_work: bool,
+    ) -> Option<Vec<Pending>> {
         let mut state = self.state.lock();
         loop {
-            let waits = !state.changes.is_empty() || !state.questions.is_empty();
+            let waits = !state.changes.is_empty();
             match state.end {
                 Some(End::Dropped) => return None,
                 Some(End::Shutdown) if !waits => {
@@ -236,7 +215,6 @@ impl Inbox {
                 _ => self.wake.wait(&mut state),
             }
         }
-        let questions = std::mem::take(&mut state.questions);
         let mut group = Vec::new();
         let mut operations = 0;
         while let Some(next) = state.changes.front() {
@@ -251,7 +229,7 @@ impl Inbox {
         drop(state);
         self.room.notify_waiters();
         meters::dequeued(group.len());
-        Some(Work { questions, group })
+        Some(group)
     }
 
     /// Waits for the end, at most `timeout`.

@@ -17,6 +17,7 @@ mod offline;
 mod recover;
 mod registry;
 mod scene;
+mod set;
 mod writer;
 
 use std::path::PathBuf;

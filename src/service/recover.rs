@@ -140,10 +140,9 @@ pub(super) fn revive(scene: &Scene, mut log: SceneLog) -> Result<Live, Halt> {
     }
     Ok(Live::new(
         log,
-        rebuilt.engine,
         &published,
         rebuilt.next_id,
-        Feed::new(&published, history),
+        Feed::new(rebuilt.engine, &published, history),
     ))
 }
 

@@ -2,7 +2,8 @@
 //!
 //! ```text
 //!   change ──> inbox ──> the writer's thread ──> log ──> feed ──> published, subscribe, wait_for
-//!   cube, page, contains ──> inbox (between two commits)   history, at ──> a connection of their own
+//!   cube, page, contains ──> the set of cubes (between two steps of the writer)
+//!   history, at ──> a connection of their own
 //! ```
 
 use std::path::PathBuf;
@@ -14,16 +15,17 @@ use std::time::Duration;
 
 use arc_swap::ArcSwap;
 use parking_lot::Mutex;
-use tokio::sync::{oneshot, watch};
+use tokio::sync::{Semaphore, watch};
 
 use super::inbox::{End, Inbox, Pending, Shut};
 use super::recover::Gate;
-use super::writer::{View, too_many};
+use super::set::{CubeSet, View};
+use super::writer::too_many;
 use super::{
     Applied, Audit, CHANGE_OPERATIONS_MAX, Chain, FaultHook, HistoryRow, Published, SceneName,
     SceneState, Seq, ServiceConfig, ServiceError, Submission, meters,
 };
-use crate::engine::{Cursor, Side, recount};
+use crate::engine::{Cursor, Engine, Side, recount};
 use crate::geometry::{CubeId, Edge, Place, Stock};
 use crate::log::{Header, HistoryReader, LogError};
 
@@ -34,8 +36,9 @@ pub(super) struct Setup {
     pub(super) faults: Option<FaultHook>,
 }
 
-/// Where readers find the durable totals.
+/// Where readers find the durable state.
 pub(super) struct Feed {
+    pub(super) set: CubeSet,
     newest: ArcSwap<Published>,
     updates: watch::Sender<Published>,
     history: Mutex<HistoryReader>,
@@ -77,6 +80,8 @@ pub struct Scene {
     started: AtomicBool,
     notices: Mutex<Vec<String>>,
     pub(super) inbox: Inbox,
+    /// For copies of all cubes: one at a time, for each takes as much memory as the cubes.
+    copies: Semaphore,
     thread: Mutex<Option<JoinHandle<()>>>,
 }
 
@@ -272,46 +277,46 @@ impl Scene {
 
     /// Where a cube is.
     pub async fn cube(&self, id: CubeId) -> Result<Option<Place>, ServiceError> {
-        self.ask(move |view| view.engine.get(id)).await
+        self.read(move |view| view.cube(id)).await
     }
 
-    /// A page of cubes, as [`crate::engine::Engine::page`].
+    /// Up to `limit` cubes after the cursor (from the beginning without one), and the cursor of the last when more follow.
+    /// A cube that is there during the whole listing is listed exactly once, whatever changes meanwhile. O(limit, and
+    /// cubes on their way).
     pub async fn page(
         &self,
         after: Option<Cursor>,
         limit: usize,
     ) -> Result<(Vec<(CubeId, Place)>, Option<Cursor>), ServiceError> {
-        self.ask(move |view| view.engine.page(after, limit)).await
+        self.read(move |view| view.page(after, limit)).await
     }
 
-    /// All cubes as of one seq. O(cubes), between two commits.
+    /// All cubes as of one seq, in the order of the listing. O(cubes), and changes wait meanwhile.
     pub async fn cubes(&self) -> Result<(Seq, Vec<(CubeId, Place)>), ServiceError> {
-        self.ask(|view| (view.published.seq, view.engine.cubes().collect()))
-            .await
+        self.copy(|view| (view.seq(), view.cubes().collect())).await
     }
 
-    /// Where a point lies.
+    /// Where a point lies, and the cube of least id that holds it (closed cubes).
     pub async fn contains(
         &self,
         point: [i32; 3],
     ) -> Result<(Seq, Side, Option<(CubeId, Place)>), ServiceError> {
-        self.ask(move |view| {
-            let (side, cube) = view.engine.contains(point);
-            (view.published.seq, side, cube)
+        self.read(move |view| {
+            let (side, cube) = view.contains(point);
+            (view.seq(), side, cube)
         })
         .await
     }
 
     /// Recounts everything from the cubes alone, on another thread, and compares.
     pub async fn audit(&self) -> Result<Audit, ServiceError> {
-        let (seq, kept, stock, places) = self
-            .ask(|view| {
-                let places: Vec<Place> = view.engine.cubes().map(|(_, place)| place).collect();
-                let Published { seq, totals, .. } = *view.published;
-                (seq, totals, view.engine.stock(), places)
+        let (Published { seq, totals, .. }, places) = self
+            .copy(|view| {
+                let places: Vec<Place> = view.cubes().map(|(_, place)| place).collect();
+                (view.published(), places)
             })
             .await?;
-        let edge = self.edge();
+        let (kept, edge, stock) = (totals, self.edge(), self.stock());
         let recounted = blocking(move || recount(edge, stock, places.into_iter())).await?;
         if recounted != kept {
             tracing::error!(
@@ -327,21 +332,31 @@ impl Scene {
         })
     }
 
-    /// Puts a question to the engine, between two commits.
-    async fn ask<T: Send + 'static>(
+    /// Reads the durable cubes: at once, or on a thread that may block while the writer takes a step.
+    async fn read<T: Send + 'static>(
         &self,
         question: impl FnOnce(&View<'_>) -> T + Send + 'static,
     ) -> Result<T, ServiceError> {
-        let (reply, answer) = oneshot::channel();
-        self.inbox
-            .ask(Box::new(move |view| {
-                // Copying a million cubes for a client that has gone would only hold up the others.
-                if !reply.is_closed() {
-                    let _gone = reply.send(question(view));
-                }
-            }))
-            .map_err(|shut| self.refusal_of(shut))?;
-        answer.await.map_err(|_| self.refusal())
+        let feed = self.feed()?;
+        if let Some(view) = feed.set.try_view() {
+            return match view {
+                Some(view) => Ok(question(&view)),
+                None => Err(self.refusal()),
+            };
+        }
+        let answer = blocking(move || feed.set.view().map(|view| question(&view))).await?;
+        answer.ok_or_else(|| self.refusal())
+    }
+
+    /// Copies cubes on a thread that may block. Who has gone before it was their turn is passed over.
+    async fn copy<T: Send + 'static>(
+        &self,
+        copy: impl FnOnce(&View<'_>) -> T + Send + 'static,
+    ) -> Result<T, ServiceError> {
+        let _turn = self.copies.acquire().await.expect("it is never closed");
+        let feed = self.feed()?;
+        let copied = blocking(move || feed.set.view().map(|view| copy(&view))).await?;
+        copied.ok_or_else(|| self.refusal())
     }
 
     /// Reads the history on a thread that may block.
@@ -418,6 +433,7 @@ impl Scene {
             started: AtomicBool::new(false),
             notices: Mutex::default(),
             inbox: Inbox::default(),
+            copies: Semaphore::new(1),
             thread: Mutex::default(),
         }
     }
@@ -496,18 +512,22 @@ impl Scene {
 }
 
 impl Feed {
-    pub(super) fn new(published: &Published, history: HistoryReader) -> Self {
+    pub(super) fn new(engine: Engine, published: &Published, history: HistoryReader) -> Self {
         Self {
+            set: CubeSet::new(engine, *published),
             newest: ArcSwap::from_pointee(*published),
             updates: watch::Sender::new(*published),
             history: Mutex::new(history),
         }
     }
 
-    /// Shows new totals: to those who look first, then to those who wait.
+    /// Shows a new durable state: to those who look first, then to those who wait. Nobody sees an older state in one place
+    /// after this one in another.
     pub(super) fn publish(&self, published: &Published) {
-        self.newest.store(Arc::new(*published));
-        self.updates.send_replace(*published);
+        self.set.advance(published, || {
+            self.newest.store(Arc::new(*published));
+            self.updates.send_replace(*published);
+        });
     }
 }
 

@@ -3,7 +3,7 @@
 //! ```text
 //!          ┌───────────────────────────── reopen ◄──── probe_interval ────┐
 //!          ▼                                                              │
-//!   serve: questions ─ judge ─ apply ─ append (one sync) ─ publish ─ answer   ──failure──► stopped
+//!   serve: judge ─ apply ─ append (one sync) ─ publish ─ answer ──failure───► stopped
 //!          └── between two groups: a chunk of a snapshot, or a slice of trimming ──┘
 //! ```
 //! Nothing is answered or shown before the sync has returned. The engine runs ahead of the log only inside one group;
@@ -21,7 +21,7 @@ use super::{
     Applied, CHANGE_OPERATIONS_MAX, Counting, FaultStep, Motion, Operations, Published, SceneState,
     Seq, ServiceError, Submission, meters,
 };
-use crate::engine::{Counts, Engine, Judged, Op};
+use crate::engine::{Access, Counts, Engine, Judged, Op};
 use crate::geometry::{CubeId, Effect, Place, Totals};
 use crate::log::{Answer, KeyRecord, Log, LogError, Record, SceneLog};
 
@@ -31,17 +31,10 @@ const SNAPSHOT_CHUNK_CUBES: usize = 65_536;
 /// Upkeep that did not fit the disk is tried again after this many probe intervals.
 const UPKEEP_PAUSE_PROBES: u32 = 60;
 
-/// What a question sees: the last durable state.
-pub(super) struct View<'a> {
-    pub(super) engine: &'a Engine,
-    pub(super) published: &'a Published,
-}
-
 /// A scene that runs.
 pub(super) struct Live {
     log: SceneLog,
-    engine: Engine,
-    /// Newest durable state; the engine is at it between two groups.
+    /// Newest durable state; the engine, which is in the feed, is at it between two groups.
     published: Published,
     /// The next id the server may give; 0 when there is none left.
     next_id: u64,
@@ -174,16 +167,9 @@ fn stop(scene: &Scene, error: &LogError) -> bool {
 }
 
 impl Live {
-    pub(super) fn new(
-        log: SceneLog,
-        engine: Engine,
-        published: &Published,
-        next_id: u64,
-        feed: Feed,
-    ) -> Self {
+    pub(super) fn new(log: SceneLog, published: &Published, next_id: u64, feed: Feed) -> Self {
         Self {
             log,
-            engine,
             published: *published,
             next_id,
             feed: Arc::new(feed),
@@ -200,7 +186,7 @@ impl Live {
     /// Lets callers in: readers are answered at once, changes as soon as the thread runs.
     pub(super) fn begin(&self, scene: &Scene) {
         scene.set_permille(1000);
-        // The inbox first: who sees the scene running may ask it at once. Nothing is taken from it before this returns.
+        // The inbox first: who sees the scene running may change it at once. Nothing is taken from it before this returns.
         scene.inbox.open();
         scene.set_condition(Condition::Running(self.feed.clone()));
         scene.set_started();
@@ -211,20 +197,10 @@ impl Live {
         let group_operations_max = scene.setup.config.group_operations_max;
         loop {
             let idle_work = self.upkeep_waits();
-            let Some(work) = scene.inbox.take(group_operations_max, idle_work) else {
+            let Some(group) = scene.inbox.take(group_operations_max, idle_work) else {
                 return Halt::Ended;
             };
-            let view = View {
-                engine: &self.engine,
-                published: &self.published,
-            };
-            for question in work.questions {
-                question(&view);
-            }
-            if let Err(error) = self
-                .commit(scene, work.group)
-                .and_then(|()| self.keep_up(scene))
-            {
+            if let Err(error) = self.commit(scene, group).and_then(|()| self.keep_up(scene)) {
                 return Halt::Log(error);
             }
         }
@@ -332,7 +308,8 @@ impl Live {
         operations: Operations,
     ) -> Result<(Judged, Option<IdRange>), ServiceError> {
         let (ops, assigned) = self.number(operations)?;
-        let judged = self.engine.judge(&ops).inspect_err(|_| meters::refused())?;
+        let judged = self.feed.set.look(|engine| engine.judge(&ops));
+        let judged = judged.inspect_err(|_| meters::refused())?;
         Ok((judged, assigned))
     }
 
@@ -365,13 +342,15 @@ impl Live {
         let mut then: Vec<(CubeId, Option<Place>)> = then.into_iter().collect();
         then.sort_unstable_by_key(|(id, _)| *id);
         let mut effect = Effect::default();
-        for (id, then) in then {
-            let now = self.engine.get(id);
-            if now != then {
-                effect.deleted.extend(now.map(|place| (id, place)));
-                effect.inserted.extend(then.map(|place| (id, place)));
+        self.feed.set.look(|engine| {
+            for (id, then) in then {
+                let now = engine.get(id);
+                if now != then {
+                    effect.deleted.extend(now.map(|place| (id, place)));
+                    effect.inserted.extend(then.map(|place| (id, place)));
+                }
             }
-        }
+        });
         let operations = effect.deleted.len() + effect.inserted.len();
         if operations > CHANGE_OPERATIONS_MAX {
             return Ok(Err(too_many(operations)));
@@ -403,9 +382,7 @@ impl Live {
         };
         let mut published = group.newest().unwrap_or(self.published);
         if judged.effect != Effect::default() || motion.is_said() {
-            self.engine
-                .apply(&judged.effect)
-                .expect("an effect fits the set that it was judged against");
+            self.feed.set.apply(&judged.effect);
             for &(id, _) in &judged.effect.inserted {
                 self.next_id = next_id_after(self.next_id, id);
             }
@@ -413,7 +390,7 @@ impl Live {
             published = Published {
                 seq: Seq(published.seq.0 + 1),
                 at_ms: now_ms().max(published.at_ms),
-                totals: self.engine.totals(),
+                totals: self.feed.set.look(Engine::totals),
             };
             group.net.push(judged.net);
             group.records.push(Record {
@@ -470,7 +447,7 @@ impl Live {
     }
 
     fn wants_snapshot(&self) -> bool {
-        self.log.wants_snapshot(self.engine.len())
+        self.log.wants_snapshot(self.feed.set.look(Engine::len))
     }
 
     /// One step of upkeep, short enough that changes hardly wait for it.
@@ -494,15 +471,16 @@ impl Live {
     }
 
     fn upkeep_step(&mut self) -> Result<(), LogError> {
+        let wants_snapshot = self.wants_snapshot();
         match &mut self.upkeep {
-            Upkeep::Rest(_) if !self.log.wants_snapshot(self.engine.len()) => {
+            Upkeep::Rest(_) if !wants_snapshot => {
                 self.upkeep = Upkeep::Trim;
             }
             Upkeep::Rest(_) => {
                 let Published { at_ms, totals, .. } = self.published;
                 self.log.snapshot_begin(at_ms, &totals, self.next_id)?;
                 self.upkeep = Upkeep::Snapshot {
-                    cubes: self.engine.cubes().collect(),
+                    cubes: self.feed.set.look(|engine| engine.cubes().collect()),
                     written: 0,
                 };
             }
