@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use parking_lot::{Condvar, Mutex};
 use union3d::engine::{Counts, Op, Rejected, Side, recount};
-use union3d::geometry::{CubeId, Edge, Place, Totals};
+use union3d::geometry::{CubeId, Edge, Place, Stock, Totals};
 use union3d::log::{Keep, Log, LogError, Replayed, SceneLog};
 use union3d::service::{
     Applied, Counting, FaultHook, FaultStep, Motion, Operations, Published, Readiness, Scene,
@@ -1182,4 +1182,69 @@ fn names_are_checked() {
     ] {
         assert!(SceneName::new(bad).is_err(), "{bad:?}");
     }
+}
+
+/// What a move removed, that another cut nothing, and all parts of the stock: the same after a restart, from the log alone.
+#[tokio::test]
+async fn a_stock_and_its_moves_come_back_after_a_restart() {
+    let directory = tempfile::tempdir().unwrap();
+    let stock = Stock::new([0, 0, 0], [9, 9, 9]).unwrap();
+    let moved = |number: u64, cubes: &[(u64, Place)]| {
+        let insert = |&(id, place): &(u64, Place)| Op::Insert(CubeId(id), place);
+        Submission {
+            motion: Motion {
+                number: Some(number),
+                duration_ns: Some(500_000_000),
+            },
+            ..named(cubes.iter().map(insert).collect())
+        }
+    };
+    // In the stock, across its border, beside it, and the same again: the last two remove nothing.
+    let moves = [
+        vec![(1, place(3, 3, 3))],
+        vec![(2, place(-1, 0, 0)), (3, place(2, 0, 0))],
+        vec![(4, place(9, 0, 0))],
+        vec![(1, place(3, 3, 3))],
+        vec![],
+    ];
+    let removed: [i128; 5] = [27, 18 + 27, 0, 0, 0];
+    let service = start(directory.path());
+    let (scene, _) = service
+        .create(&name("s"), edge(), Some(stock), "{}")
+        .await
+        .unwrap();
+    let mut cubes = BTreeMap::new();
+    for (cubes_of_move, number) in moves.iter().zip(10..) {
+        let applied = scene.change(moved(number, cubes_of_move)).await.unwrap();
+        cubes.extend(cubes_of_move.iter().copied());
+        assert_eq!(
+            applied.published.seq,
+            Seq(number - 9),
+            "an air cut counts too"
+        );
+    }
+    let before = scene.published().unwrap();
+    assert_eq!(
+        before.totals,
+        recount(edge(), Some(stock), cubes.values().copied())
+    );
+    let rows = |scene: Arc<Scene>| async move {
+        let rows = scene.history(Seq(1), Seq(5), Some([10, 14]), 100).await;
+        rows.unwrap()
+    };
+    let history = rows(scene.clone()).await;
+    let each: Vec<i128> = history.iter().map(|row| row.volume_removed).collect();
+    assert_eq!(each, removed);
+    service.shutdown().await;
+    drop((scene, service));
+
+    let service = start(directory.path());
+    let scene = running(&service, "s");
+    assert_eq!(scene.stock(), Some(stock));
+    assert_eq!(scene.published().unwrap(), before);
+    assert_eq!(rows(scene.clone()).await, history);
+    let audit = scene.audit().await.unwrap();
+    assert_eq!(audit.kept, audit.recounted);
+    let parts = before.totals.stock.unwrap();
+    assert_eq!(parts.removed.volume + parts.remaining.volume, 729);
 }

@@ -93,7 +93,7 @@ impl HistoryReader {
         limit: usize,
     ) -> Result<Vec<HistoryRow>, LogError> {
         /// Of so many rows the order by seq is quickly made from the index by move; of more, the table is read in its order.
-        const INDEXED_ROWS_MAX: i64 = 65_536;
+        const INDEXED_ROWS_MAX: i64 = 8_192;
         let (_transaction, head) = self.moment()?;
         let sqlite = self.site.sqlite(from);
         let [first, last] = moves.map(ordered);

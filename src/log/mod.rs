@@ -14,6 +14,9 @@
 //!   what was answered for outside, so damage in the middle is refused and a lost end is told.
 //! - A write-ahead file that was cut can be older than the database it is laid over. Then the head is older than some
 //!   page; SQLite's own check of its structure (`replay`) and the rows themselves show it.
+//!
+//! One question asks less: rows by the numbers of moves are found through an index, and how many there must be is written
+//! nowhere. A damaged index can leave rows out of that answer; the rows that are in it are right, and no state depends on it.
 
 mod codec;
 mod database;

@@ -2,7 +2,10 @@
 
 use serde_json::{Value, json};
 
-use crate::server::{JSON, Server};
+use union3d::service::ServiceConfig;
+use union3d::wire::http::Limits;
+
+use crate::server::{JSON, Server, send};
 
 #[tokio::test]
 async fn a_scene_goes_back_and_forward_again() {
@@ -30,6 +33,82 @@ async fn a_scene_goes_back_and_forward_again() {
     // The past is as it was.
     let third = server.get(&format!("{scene}/mass-properties?at=3")).await;
     assert_eq!(third.ok()["exact"], before["exact"]);
+}
+
+/// A key stands for the going back that it came with first.
+#[tokio::test]
+async fn a_retry_with_the_same_key_goes_back_once() {
+    let server = Server::start().await;
+    let scene = server.scene("s", 2).await;
+    server
+        .change(&scene, r#"{"insert": [{"at": [0, 0, 0]}]}"#)
+        .await
+        .ok();
+    let revert = |body: &'static str| {
+        let request = server.request("POST", &format!("{scene}/revert"));
+        let request = request
+            .header("content-type", JSON)
+            .header("Idempotency-Key", "back");
+        send(request.body(body))
+    };
+    let first = revert(r#"{"to": 0}"#).await.ok();
+    assert_eq!([&first["seq"], &first["deleted"]], [2, 1]);
+    let again = revert(r#"{"to": 0}"#).await;
+    assert_eq!(again.headers["Idempotency-Replayed"], "true");
+    assert_eq!(again.ok()["seq"], 2);
+    revert(r#"{"to": 1}"#)
+        .await
+        .problem(422, "idempotency-key-reused");
+    assert_eq!(server.totals(&scene).await["seq"], 2);
+}
+
+/// Behind a snapshot only as many operations are kept as the setting says.
+#[tokio::test]
+async fn what_is_no_longer_kept_is_gone_with_the_oldest_that_is() {
+    let server = Server::with(
+        Limits::default(),
+        |config| ServiceConfig {
+            revert_changes_max: 3,
+            ..config
+        },
+        None,
+    )
+    .await;
+    let scene = server.scene("s", 2).await;
+    let path = format!("{scene}/revert");
+    // Every cube moves with every change, so that the log is soon longer than what it leads to.
+    let mut random = 1_u64;
+    let refused = loop {
+        let mut change = json!({"delete": [], "insert": []});
+        for id in 0..10_000 {
+            let mut at = [0; 3];
+            for coordinate in &mut at {
+                random = random
+                    .wrapping_mul(6_364_136_223_846_793_005)
+                    .wrapping_add(1);
+                *coordinate = random >> 36;
+            }
+            change["delete"].as_array_mut().unwrap().push(json!(id));
+            change["insert"]
+                .as_array_mut()
+                .unwrap()
+                .push(json!({"id": id, "at": at}));
+        }
+        let newest = server.change(&scene, &change.to_string()).await.ok()["seq"].clone();
+        assert!(
+            newest.as_u64().unwrap() < 1_000,
+            "operations were never dropped"
+        );
+        let answer = server.send("POST", &path, JSON, r#"{"to": 0}"#).await;
+        if answer.status != 200 {
+            break answer.problem(410, "seq-not-reachable");
+        }
+        // Nothing was dropped yet: undo the going back.
+        let body = json!({"to": newest}).to_string();
+        server.send("POST", &path, JSON, &body).await.ok();
+    };
+    let oldest = refused["oldest"].as_u64().unwrap();
+    assert!(oldest > 0);
 }
 
 #[tokio::test]
