@@ -19,12 +19,12 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use crate::geometry::{CubeId, Place};
 
-use super::Engine;
 use super::access::Access;
 use super::grid::{Grid, Leaf, Settled};
 use super::marginal::{Difference, Kernel, Span};
 use super::neighbours::Neighbours;
 use super::scan::prefetch;
+use super::{Engine, add, retract};
 
 /// From so many cubes on, ordering them pays.
 pub(super) const BATCH_MIN: usize = 32;
@@ -118,7 +118,7 @@ fn insert_slice(access: &impl Access, cubes: &[(CubeId, Place)]) {
     let found = access.look(|engine| engine.evaluate(&mut helpers, &touched, cubes.len(), false));
     for found in found {
         if let Some(sum) = &found.sum {
-            access.step(|engine| engine.add(sum));
+            access.step(|engine| add(&mut engine.totals, sum));
         }
         // From the last one back: what takes the place of a removed one has been looked at.
         for some in found.covered.rchunks(CUBES_A_STEP) {
@@ -206,7 +206,7 @@ fn delete_slice(access: &impl Access, cubes: &[(CubeId, Place)]) {
     settle(access, &touched);
     for found in &found {
         if let Some(sum) = &found.sum {
-            access.step(|engine| engine.retract(sum));
+            access.step(|engine| retract(&mut engine.totals, sum));
         }
         for some in found.boxes.chunks(CUBES_A_STEP) {
             access.step(|engine| {
@@ -385,19 +385,20 @@ impl Found {
         for index in bin.len() - bin.fresh()..bin.len() {
             let place = Place::from_checked(bin.corner(index));
             visible.gather_before(leaf, index, place.corner(), &mut helper.neighbours);
-            let difference = if boxes {
+            let changes = if boxes {
                 let (neighbours, uncovered) = (&helper.neighbours, &mut helper.uncovered);
                 helper.kernel.uncovered(place, neighbours, uncovered)
             } else {
                 helper.kernel.marginal(place, &helper.neighbours)
             };
-            let Some(difference) = difference else {
+            if !changes {
                 self.covered.push((leaf, index));
                 continue;
-            };
+            }
+            let found = helper.kernel.found();
             match &mut self.sum {
-                None => self.sum = Some(difference),
-                Some(sum) => sum.add(&difference),
+                None => self.sum = Some(*found),
+                Some(sum) => sum.add(found),
             }
             if boxes {
                 self.bare.push((place, helper.uncovered.len()));

@@ -68,9 +68,9 @@ pub(super) struct Settled {
 }
 
 /// More cubes in a bin than this, and it is divided.
-const CROWD_MAX: usize = 96;
+const CROWD_MAX: usize = 160;
 /// So few cubes in a divided bin, and it is one again; when a level is widened, twice as many.
-const CROWD_MIN: usize = 24;
+const CROWD_MIN: usize = 40;
 /// Fewer cubes a bin than this (on average), and the bins become wider.
 const MEAN_MIN: usize = 6;
 /// Too few cubes to bother.
@@ -283,6 +283,30 @@ impl Grid {
     #[inline]
     pub(super) fn prefetch(&self, place: Place) {
         self.levels[0].prefetch(self.key(0, place.corner()).hash());
+    }
+
+    /// Asks for the memory in which the bins around a cube are looked for, on the level that has most of them, where these are
+    /// few.
+    #[inline]
+    pub(super) fn prefetch_around(&self, place: Place) {
+        let levels = self.levels.iter().enumerate();
+        let Some((level, bins)) = levels.max_by_key(|(_, bins)| bins.len()) else {
+            return;
+        };
+        let corner = place.corner();
+        let first = self.key(level, corner.map(|coordinate| coordinate - self.edge));
+        let last = self.key(level, corner.map(|coordinate| coordinate + self.edge));
+        let near = |axis: usize| last.0[axis] - first.0[axis] <= 1;
+        if !(near(0) && near(1) && near(2)) {
+            return;
+        }
+        let mut next = first.0;
+        loop {
+            bins.prefetch(BinKey(next).hash());
+            if !advance(&mut next, first.0, last.0) {
+                return;
+            }
+        }
     }
 
     /// Inserts a cube of a batch; its bin when it is the first one there.

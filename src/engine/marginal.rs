@@ -33,7 +33,7 @@ use crate::geometry::{Bounds, Edge, Measures, Place, Stock, StockMeasures, WEIGH
 use super::neighbours::Neighbours;
 
 /// What one cube adds: to the union, and to the two parts of the stock if there is one.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 pub(super) struct Difference {
     pub(super) union: Measures,
     pub(super) stock: Option<StockMeasures>,
@@ -44,6 +44,14 @@ pub(super) struct Difference {
 pub(super) struct Span {
     pub(super) min: [i32; 3],
     pub(super) max: [i32; 3],
+}
+
+/// What nothing adds to the parts of a stock.
+fn no_parts() -> StockMeasures {
+    StockMeasures {
+        removed: Measures::default(),
+        remaining: Measures::default(),
+    }
 }
 
 /// Few enough clips for a leaf: two planes each on one axis and the cube's own two stay below [`PLANES_MAX`].
@@ -80,6 +88,9 @@ pub(super) struct Kernel {
     /// Boxes that contain everything the last cube newly covered; kept only when asked for.
     uncovered: Vec<Span>,
     collect: bool,
+    /// Sums of the fast kernel, and what came of them.
+    sums: [Sums<i128>; 3],
+    found: Difference,
 }
 
 impl Kernel {
@@ -98,6 +109,8 @@ impl Kernel {
             clips: Vec::new(),
             uncovered: Vec::new(),
             collect: false,
+            sums: Default::default(),
+            found: Difference::default(),
         }
     }
 
@@ -115,39 +128,53 @@ impl Kernel {
     /// The stock that cubes are cut from.
     pub(super) fn set_stock(&mut self, stock: Option<Stock>) {
         self.stock = stock.map(|stock| stock.bounds());
+        self.found.stock = stock.map(|_| no_parts());
     }
 
-    /// F(S + c) - F(S) for the cube at `place`, where S is given by those of its cubes that touch c.
-    /// None when c changes nothing: it is covered.
-    pub(super) fn marginal(&mut self, place: Place, neighbours: &Neighbours) -> Option<Difference> {
+    /// F(S + c) - F(S) for the cube at `place`, where S is given by those of its cubes that touch c: see [`Self::found`].
+    /// False when c changes nothing: it is covered.
+    pub(super) fn marginal(&mut self, place: Place, neighbours: &Neighbours) -> bool {
         self.collect = false;
         self.difference(place, neighbours)
     }
 
-    /// Closed boxes, in scene coordinates, that together contain c minus S. Empty when c is covered.
+    /// The same, with closed boxes, in scene coordinates, that together contain c minus S. None when c is covered.
     pub(super) fn uncovered(
         &mut self,
         place: Place,
         neighbours: &Neighbours,
         boxes: &mut Vec<Span>,
-    ) -> Option<Difference> {
+    ) -> bool {
         self.collect = true;
-        let difference = self.difference(place, neighbours);
+        let changes = self.difference(place, neighbours);
         let corner = place.corner();
         boxes.clear();
         boxes.extend(self.uncovered.iter().map(|span| span.moved(corner)));
-        difference
+        changes
     }
 
-    fn difference(&mut self, place: Place, neighbours: &Neighbours) -> Option<Difference> {
+    /// What the last cube changed, if it changed anything. It stays here, for it is large.
+    pub(super) fn found(&self) -> &Difference {
+        &self.found
+    }
+
+    fn difference(&mut self, place: Place, neighbours: &Neighbours) -> bool {
         #[cfg(target_arch = "x86_64")]
         if self.fast.is_some() {
             return self.fast_difference(place, neighbours);
         }
         self.uncovered.clear();
         if neighbours.iter().any(|offset| offset == [0; 3]) {
-            return None;
+            return false;
         }
+        let found = self.plain_difference(place, neighbours);
+        if let Some(found) = found {
+            self.found = found;
+        }
+        found.is_some()
+    }
+
+    fn plain_difference(&mut self, place: Place, neighbours: &Neighbours) -> Option<Difference> {
         let cube = Span::cube([0; 3], self.edge);
         let frame = cube.grown();
         let Some(stock) = self.stock else {
@@ -177,41 +204,50 @@ impl Kernel {
     }
 
     #[cfg(target_arch = "x86_64")]
-    fn fast_difference(&mut self, place: Place, neighbours: &Neighbours) -> Option<Difference> {
+    fn fast_difference(&mut self, place: Place, neighbours: &Neighbours) -> bool {
         use avx2::{ACROSS, INSIDE, UNION};
-        let fast = self.fast.as_mut()?;
+        let fast = self.fast.as_mut().expect("it was looked for");
         let cube = Span::cube([0; 3], self.edge);
         let stock = self.stock.map(|stock| local(&stock, place));
         let near = stock.unwrap_or(cube);
         let inside = stock.is_some() && near.contains(&cube.grown());
         let across = stock.is_some() && !inside && cube.clamped(&near).is_solid();
+        let (sums, collect) = (&mut self.sums, self.collect);
         #[expect(
             unsafe_code,
             reason = "compiled for instructions that were detected when `fast` was made"
         )]
         // SAFETY: `fast` is there only when the processor was found to have every feature these functions enable.
-        let sums = unsafe {
+        let changes = unsafe {
             if inside {
-                fast.difference::<INSIDE>(neighbours, &near, self.collect)
+                fast.difference::<INSIDE>(neighbours, &near, collect, sums)
             } else if across {
-                fast.difference::<ACROSS>(neighbours, &near, self.collect)
+                fast.difference::<ACROSS>(neighbours, &near, collect, sums)
             } else {
-                fast.difference::<UNION>(neighbours, &near, self.collect)
+                fast.difference::<UNION>(neighbours, &near, collect, sums)
             }
         };
         std::mem::swap(&mut self.uncovered, &mut fast.uncovered);
-        let [union, removed, remaining] = sums?;
+        if !changes {
+            return false;
+        }
         let corner = place.corner();
-        let union = union.translated::<i128>(corner);
-        let stock = stock.map(|_| StockMeasures {
-            removed: if inside {
-                union
-            } else {
-                removed.translated::<i128>(corner)
-            },
-            remaining: remaining.translated::<i128>(corner),
-        });
-        Some(Difference { union, stock })
+        let [union, removed, remaining] = &self.sums;
+        union.translate::<i128>(corner, &mut self.found.union);
+        let parts = self.found.stock.as_mut();
+        match (parts, inside, across) {
+            (Some(parts), true, _) => {
+                parts.removed = self.found.union;
+                remaining.translate::<i128>(corner, &mut parts.remaining);
+            }
+            (Some(parts), false, true) => {
+                removed.translate::<i128>(corner, &mut parts.removed);
+                remaining.translate::<i128>(corner, &mut parts.remaining);
+            }
+            (Some(parts), false, false) => *parts = no_parts(),
+            (None, ..) => {}
+        }
+        true
     }
 
     /// What the box `own` of the cube at `place` adds to the measures of the union inside `material` and, when two are
@@ -937,7 +973,7 @@ impl<T: Ring> Line<T> {
 }
 
 /// The difference of the measures in coordinates local to the cube.
-#[derive(Default)]
+#[derive(Clone, Debug, Default)]
 struct Sums<T> {
     volume: T,
     first2: [T; 3],
@@ -983,47 +1019,43 @@ impl<T: Ring> Sums<T> {
 
     /// The same in scene coordinates, where `corner` is the origin of the local ones. Lengths, areas and counts are
     /// differences of one cube, so they do not change; moments do, and need the wider ring `U`.
+    fn translate<U: Ring + From<T> + Into<I256>>(&self, corner: [i32; 3], to: &mut Measures)
+    where
+        T: Into<i128>,
+    {
+        let twice = |value: U| value.plus(value);
+        let volume = U::from(self.volume);
+        let first2 = self.first2.map(U::from);
+        let by = corner.map(U::of);
+        // Twice the integral of (x + a) is that of x and twice a times the volume.
+        let half: [U; 3] = std::array::from_fn(|axis| volume.times(by[axis]));
+        let moved2: [U; 3] = std::array::from_fn(|axis| first2[axis].plus(twice(half[axis])));
+        for axis in 0..3 {
+            to.first_moments2[axis] = moved2[axis].into().as_i128();
+            // Three times the integral of (x + a)^2.
+            let three = by[axis].plus(twice(by[axis]));
+            let square = three.times(first2[axis].plus(half[axis]));
+            to.second_moments3[axis] = U::from(self.second3[axis]).plus(square).into();
+            // Four times the integral of (x + a)(y + b).
+            let other = (axis + 1) % 3;
+            let product2 = moved2[axis]
+                .times(by[other])
+                .plus(first2[other].times(by[axis]));
+            to.product_moments4[axis] = U::from(self.product4[axis]).plus(twice(product2)).into();
+        }
+        let [euler8, vertices @ ..] = self.counts;
+        to.volume = self.volume.into();
+        to.area_by_axis = self.area.map(T::into);
+        to.edge_length = self.edge.map(|axis| axis.map(T::into));
+        (to.euler8, to.vertices) = (euler8, vertices);
+    }
+
     fn translated<U: Ring + From<T> + Into<I256>>(&self, corner: [i32; 3]) -> Measures
     where
         T: Into<i128>,
     {
-        let two = U::of(2);
-        let three = U::of(3);
-        let volume = U::from(self.volume);
-        let first2 = self.first2.map(U::from);
-        let by = corner.map(U::of);
-        let next = [1, 2, 0];
-        let mut first_moments2 = [U::default(); 3];
-        let mut second_moments3 = [I256::ZERO; 3];
-        let mut product_moments4 = [I256::ZERO; 3];
-        for axis in 0..3 {
-            let volume_by = volume.times(by[axis]);
-            // integral of x + a
-            first_moments2[axis] = first2[axis].plus(two.times(volume_by));
-            // integral of (x + a)^2
-            let linear = three.times(by[axis]).times(first2[axis]);
-            let square = three.times(by[axis]).times(volume_by);
-            second_moments3[axis] = U::from(self.second3[axis]).plus(linear).plus(square).into();
-            // integral of (x + a)(y + b)
-            let other = next[axis];
-            let linear = first2[axis]
-                .times(by[other])
-                .plus(first2[other].times(by[axis]));
-            let square = two.times(volume_by).times(by[other]);
-            product_moments4[axis] = U::from(self.product4[axis])
-                .plus(two.times(linear.plus(square)))
-                .into();
-        }
-        let [euler8, vertices @ ..] = self.counts;
-        Measures {
-            volume: self.volume.into(),
-            first_moments2: first_moments2.map(|moment| moment.into().as_i128()),
-            second_moments3,
-            product_moments4,
-            area_by_axis: self.area.map(T::into),
-            edge_length: self.edge.map(|axis| axis.map(T::into)),
-            euler8,
-            vertices,
-        }
+        let mut measures = Measures::default();
+        self.translate::<U>(corner, &mut measures);
+        measures
     }
 }

@@ -297,30 +297,62 @@ impl Engine {
     /// # Errors
     /// As of [`Self::apply`].
     pub fn apply_through(access: &impl Access, effect: &Effect) -> Result<(), Inconsistent> {
+        let Effect { deleted, inserted } = effect;
+        if deleted.len() < BATCH_MIN && inserted.len() < BATCH_MIN {
+            return access.step(|engine| engine.apply_few(effect));
+        }
         apply_ids(access, effect)?;
-        if effect.deleted.len() < BATCH_MIN {
-            access.step(|engine| {
-                for &(id, place) in &effect.deleted {
-                    engine.delete(id, place);
-                }
-            });
+        if deleted.len() < BATCH_MIN {
+            access.step(|engine| engine.delete_each(deleted));
         } else {
-            delete_batch(access, &effect.deleted);
+            delete_batch(access, deleted);
         }
-        if effect.inserted.len() < BATCH_MIN {
-            access.step(|engine| {
-                for &(id, place) in &effect.inserted {
-                    engine.insert(id, place);
-                }
-            });
+        if inserted.len() < BATCH_MIN {
+            access.step(|engine| engine.insert_each(inserted));
         } else {
-            insert_batch(access, &effect.inserted);
+            insert_batch(access, inserted);
         }
-        access.step(|engine| {
-            engine.totals.cubes = engine.len();
-            engine.totals.bounds = engine.visible.bounds();
-        });
+        access.step(Self::complete_totals);
         Ok(())
+    }
+
+    /// Applies an effect in one step.
+    fn apply_few(&mut self, effect: &Effect) -> Result<(), Inconsistent> {
+        // While the table of ids is waited for, the bins are on their way too.
+        let firsts = [effect.deleted.first(), effect.inserted.first()];
+        for (id, place) in firsts.into_iter().flatten() {
+            self.ids.prefetch(*id);
+            self.visible.prefetch_around(*place);
+        }
+        apply_ids(&RefCell::new(&mut *self), effect)?;
+        self.delete_each(&effect.deleted);
+        self.insert_each(&effect.inserted);
+        self.complete_totals();
+        Ok(())
+    }
+
+    fn delete_each(&mut self, cubes: &[(CubeId, Place)]) {
+        for (at, &(id, place)) in cubes.iter().enumerate() {
+            if let Some((_, next)) = cubes.get(at + 1) {
+                self.visible.prefetch_around(*next);
+            }
+            self.delete(id, place);
+        }
+    }
+
+    fn insert_each(&mut self, cubes: &[(CubeId, Place)]) {
+        for (at, &(id, place)) in cubes.iter().enumerate() {
+            if let Some((_, next)) = cubes.get(at + 1) {
+                self.visible.prefetch_around(*next);
+            }
+            self.insert(id, place);
+        }
+    }
+
+    /// Brings up to date what is no sum of differences.
+    fn complete_totals(&mut self) {
+        self.totals.cubes = self.len();
+        self.totals.bounds = self.visible.bounds();
     }
 
     /// Removes cubes from the table of ids; the error is how many were removed before one did not fit.
@@ -353,8 +385,8 @@ impl Engine {
     fn insert(&mut self, id: CubeId, place: Place) {
         if self.certificates.covers(place) {
             self.hidden.insert(place, id);
-        } else if let Some(difference) = self.marginal(place) {
-            self.show(id, place, &difference);
+        } else if self.marginal(place) {
+            self.show(id, place);
         } else {
             self.certificates.certify(place);
             self.hidden.insert(place, id);
@@ -362,25 +394,11 @@ impl Engine {
         self.certificates.review(&self.visible, &self.hidden);
     }
 
-    /// Makes a cube visible that adds `difference` to the union.
-    fn show(&mut self, id: CubeId, place: Place, difference: &Difference) {
-        self.add(difference);
+    /// Makes a cube visible that adds to the union what the kernel found.
+    fn show(&mut self, id: CubeId, place: Place) {
+        add(&mut self.totals, self.kernel.found());
         self.visible.insert(place, id);
         self.certificates.certify(place);
-    }
-
-    fn add(&mut self, difference: &Difference) {
-        self.totals.measures.add(&difference.union);
-        for (total, part) in self.totals.stock.iter_mut().zip(&difference.stock) {
-            total.add(part);
-        }
-    }
-
-    fn retract(&mut self, difference: &Difference) {
-        self.totals.measures.retract(&difference.union);
-        for (total, part) in self.totals.stock.iter_mut().zip(&difference.stock) {
-            total.retract(part);
-        }
     }
 
     fn delete(&mut self, id: CubeId, place: Place) {
@@ -394,10 +412,10 @@ impl Engine {
             self.visible.remove(place, id),
             "a cube is in one of the grids"
         );
-        let Some(difference) = self.uncovered(place) else {
+        if !self.uncovered(place) {
             return;
-        };
-        self.retract(&difference);
+        }
+        retract(&mut self.totals, self.kernel.found());
         for bare in &self.work.uncovered {
             self.certificates.revoke(bare);
         }
@@ -469,7 +487,7 @@ impl Engine {
             // The boxes are wide. Only when another cube might be needed is it worth to find out what is still bare.
             let needed =
                 |(_, other): &(CubeId, Span)| boxes.iter().any(|bare| bare.overlap(other) > 0);
-            if !candidates.iter().any(needed) || self.uncovered(place).is_none() {
+            if !candidates.iter().any(needed) || !self.uncovered(place) {
                 return;
             }
         }
@@ -477,23 +495,23 @@ impl Engine {
 
     /// Makes a hidden cube visible, unless the visible cubes cover it.
     fn promote_one(&mut self, id: CubeId, place: Place) -> bool {
-        let Some(difference) = self.marginal(place) else {
+        if !self.marginal(place) {
             return false;
-        };
+        }
         assert!(self.hidden.remove(place, id), "a candidate is hidden");
-        self.show(id, place, &difference);
+        self.show(id, place);
         true
     }
 
-    /// What the cube at `place` adds to the union of the visible cubes; none when they cover it.
-    fn marginal(&mut self, place: Place) -> Option<Difference> {
+    /// Finds what the cube at `place` adds to the union of the visible cubes; false when they cover it.
+    fn marginal(&mut self, place: Place) -> bool {
         self.visible
             .gather(place.corner(), &mut self.work.neighbours);
         self.kernel.marginal(place, &self.work.neighbours)
     }
 
     /// The same, and boxes around what the visible cubes leave bare of it.
-    fn uncovered(&mut self, place: Place) -> Option<Difference> {
+    fn uncovered(&mut self, place: Place) -> bool {
         self.visible
             .gather(place.corner(), &mut self.work.neighbours);
         self.kernel
@@ -572,6 +590,22 @@ impl Held {
             _ => Side::Boundary,
         };
         (side, self.least)
+    }
+}
+
+/// Adds what came to the union and to the parts of the stock.
+fn add(totals: &mut Totals, difference: &Difference) {
+    totals.measures.add(&difference.union);
+    for (total, part) in totals.stock.iter_mut().zip(&difference.stock) {
+        total.add(part);
+    }
+}
+
+/// Takes away what went.
+fn retract(totals: &mut Totals, difference: &Difference) {
+    totals.measures.retract(&difference.union);
+    for (total, part) in totals.stock.iter_mut().zip(&difference.stock) {
+        total.retract(part);
     }
 }
 

@@ -235,7 +235,8 @@ impl FastKernel {
         neighbours: &Neighbours,
         stock: &Span,
         collect: bool,
-    ) -> Option<[Sums<i128>; 3]> {
+        sums: &mut [Sums<i128>; 3],
+    ) -> bool {
         self.collect = collect;
         self.uncovered.clear();
         let cube = Span::cube([0; 3], self.edge);
@@ -243,14 +244,18 @@ impl FastKernel {
         if MODE == ACROSS {
             self.stock = boxed(&stock.clamped(&cube.grown()));
         }
-        let list = self.list(neighbours)?;
-        let mut sums = [Sums::default(), Sums::default(), Sums::default()];
-        self.divide::<MODE>(list, &cube, &mut sums);
+        let Some(list) = self.list(neighbours) else {
+            return false;
+        };
+        for sums in &mut sums[..if MODE == UNION { 1 } else { 3 }] {
+            *sums = Sums::default();
+        }
+        self.divide::<MODE>(list, &cube, sums);
         if MODE == INSIDE {
-            let [union, _, remaining] = &mut sums;
+            let [union, _, remaining] = sums;
             complement(union, remaining);
         }
-        (sums[0].volume != 0).then_some(sums)
+        sums[0].volume != 0
     }
 
     /// The first list of the stack; none when a neighbour is at the very same place.
