@@ -11,7 +11,7 @@ use tempfile::TempDir;
 use union3d::geometry::{Bounds, CubeId, Edge, Effect, Place, Stock, StockMeasures, Totals};
 use union3d::log::{
     Answer, Header, HistoryRow, Keep, KeyRecord, Log, LogError, Motion, Record, Replayed, SceneLog,
-    Seq, TEMPORARY_PREFIX, remove_leftovers, remove_scene,
+    Seq, Step, TEMPORARY_PREFIX, remove_leftovers, remove_scene,
 };
 
 const EDGE: u32 = 5;
@@ -119,6 +119,7 @@ impl Model {
         let record = Record {
             seq: Seq(seq),
             at_ms: 1_700_000_000_000 + seq * seq,
+            back_to: None,
             motion: motion(seq),
             volume_removed: (i128::from(seq) - 7) << (seq % 80),
             totals: totals(seq, &cubes),
@@ -177,11 +178,26 @@ impl Model {
                 assigned: number
                     .is_multiple_of(2)
                     .then(|| (CubeId(random.next()), CubeId(u64::MAX))),
+                volume_removed: -i128::from(random.next()),
                 totals: self.totals(),
             },
         };
         self.keys.push(record.clone());
         record
+    }
+}
+
+/// What makes one set of cubes another.
+fn difference(from: &Cubes, to: &Cubes) -> Effect {
+    let only_in = |one: &Cubes, other: &Cubes| {
+        let only = one
+            .iter()
+            .filter(|(id, place)| other.get(id) != Some(place));
+        only.map(|(id, place)| (*id, *place)).collect()
+    };
+    Effect {
+        deleted: only_in(from, to),
+        inserted: only_in(to, from),
     }
 }
 
@@ -318,6 +334,69 @@ fn trim_all(log: &mut SceneLog) {
 fn sqlite_does_not_lose_commits_of_two_connections() {
     // 3.7.0 to 3.51.2 could: https://sqlite.org/wal.html#walresetbug
     assert!(rusqlite::version_number() >= 3_051_003);
+}
+
+/// However often one has gone to and fro, the way to another state leads over the changes that tell the two apart, and each of
+/// them once.
+#[test]
+fn the_way_to_a_state_leads_over_what_tells_it_apart() {
+    for seed in 1..=8 {
+        println!("seed {seed}");
+        let mut random = Random(seed);
+        let data = directory();
+        let mut model = Model::new();
+        let (mut log, path) = create(&data, KEEP);
+        // Where each state comes from: the state before, and the first one that was the same.
+        let (mut before, mut origin) = (vec![0], vec![0]);
+        for seq in 1..60 {
+            let back_to = random.below(seq);
+            let mut record = if random.below(3) == 0 {
+                let effect = difference(model.cubes(), &model.states[back_to]);
+                origin.push(origin[back_to]);
+                Record {
+                    back_to: Some(Seq(back_to as u64)),
+                    ..model.record(effect)
+                }
+            } else {
+                origin.push(seq);
+                model.random_record(&mut random, 8)
+            };
+            before.push(origin[seq - 1]);
+            record.at_ms = model.rows[seq - 1].at_ms;
+            log.append(&[record], &[]).unwrap();
+            if random.below(10) == 0 {
+                drop(log);
+                log = check(&path, KEEP, &model);
+            }
+            for _ in 0..3 {
+                let to = random.below(seq + 1);
+                let mut cubes = model.cubes().clone();
+                let mut steps = 0;
+                log.way_to(Seq(to as u64), &mut |step| {
+                    steps += 1;
+                    match step {
+                        Step::Redo(effect) => apply(&mut cubes, effect),
+                        Step::Undo(Effect { deleted, inserted }) => apply(
+                            &mut cubes,
+                            &Effect {
+                                deleted: inserted.clone(),
+                                inserted: deleted.clone(),
+                            },
+                        ),
+                    }
+                })
+                .unwrap();
+                assert_eq!(cubes, model.states[to], "from {seq} to {to}");
+                let ancestors = |of: usize| {
+                    let first = origin[of];
+                    std::iter::successors(Some(first), |at| (*at > 0).then(|| before[*at]))
+                        .collect::<std::collections::BTreeSet<_>>()
+                };
+                let apart = ancestors(seq).symmetric_difference(&ancestors(to)).count();
+                assert_eq!(steps, apart, "from {seq} to {to}");
+            }
+        }
+    }
 }
 
 #[test]
@@ -517,10 +596,10 @@ fn what_is_no_log_is_refused() {
     assert!(matches!(refuse(&path), LogError::Foreign { .. }));
     drop(SceneLog::create(&data.path().join("newer"), &header(), KEEP).unwrap());
     let newer = rusqlite::Connection::open(data.path().join("newer/scene.sqlite")).unwrap();
-    newer.pragma_update(None, "user_version", 3).unwrap();
+    newer.pragma_update(None, "user_version", 4).unwrap();
     drop(newer);
     let error = refuse(&data.path().join("newer")).to_string();
-    assert!(error.contains("format 3, this program knows 2"), "{error}");
+    assert!(error.contains("format 4, this program knows 3"), "{error}");
 }
 
 #[test]

@@ -345,9 +345,16 @@ pub(super) fn put_volume(to: &mut Vec<u8>, volume: i128) {
 /// Whatever is not that.
 pub(super) fn volume(bytes: &[u8]) -> Result<i128, Malformed> {
     let mut reader = Reader(bytes);
-    let volume = reader.i128()?;
+    let volume = take_volume(&mut reader)?;
     reader.finish()?;
     Ok(volume)
+}
+
+/// The same, and what comes after it is left.
+/// # Errors
+/// Whatever is not that.
+pub(super) fn take_volume(reader: &mut Reader<'_>) -> Result<i128, Malformed> {
+    reader.i128()
 }
 
 /// The totals that [`put_totals`] wrote, and nothing after them.

@@ -23,7 +23,7 @@ pub const TEMPORARY_PREFIX: &str = ".union3d-temporary-";
 /// Written into the header of every database file: "un3d".
 pub(super) const APPLICATION_ID: i32 = 0x756e_3364;
 /// Version of the layout of the files. A change that an older program would misread needs a new one.
-pub(super) const FORMAT: i32 = 2;
+pub(super) const FORMAT: i32 = 3;
 
 const MAGIC: &[u8; 16] = b"SQLite format 3\0";
 const HEADER_SIZE: usize = 100;

@@ -37,6 +37,7 @@ use crate::geometry::{CubeId, Effect, Place, Stock, Totals};
 pub use codec::RECORD_CUBES_MAX;
 pub use files::{TEMPORARY_PREFIX, remove_leftovers, remove_scene};
 pub use history::HistoryReader;
+pub use revert::Step;
 pub use scene::SceneLog;
 
 /// Number of a change in its scene: 1 for the first; 0 is the empty scene before it.
@@ -68,6 +69,8 @@ pub struct Record {
     pub at_ms: u64,
     /// What it did to the set of cubes.
     pub effect: Effect,
+    /// The seq whose cubes it has brought back, when it is a going back.
+    pub back_to: Option<Seq>,
     /// What it belongs to.
     pub motion: Motion,
     /// Volume it removed from the stock, or added to the union where there is no stock. Units: steps cubed.
@@ -91,6 +94,8 @@ pub struct Answer {
     pub unchanged: u64,
     /// First and last id the server gave.
     pub assigned: Option<(CubeId, CubeId)>,
+    /// As of the record; 0 when there is none.
+    pub volume_removed: i128,
     /// Totals at `seq`.
     pub totals: Totals,
 }

@@ -61,6 +61,7 @@ impl SceneLog {
         let mut expected = head.operations_first;
         self.each("SELECT * FROM operations ORDER BY seq", [], |row| {
             let seq = expect(&mut expected, &mut progress);
+            self.back_to(row, 0, seq)?;
             self.operations(row, 0, seq).map(drop)
         })?;
         self.complete(expected)?;
@@ -219,6 +220,7 @@ impl SceneLog {
                 Err(error) => return Err(site.damaged(seq, format_args!("the totals: {error}"))),
             };
             let effect = self.operations(row, Changes::COLUMN_COUNT, seq)?;
+            let back_to = self.back_to(row, Changes::COLUMN_COUNT, seq)?;
             if (change.deleted, change.inserted)
                 != (count(effect.deleted.len()), count(effect.inserted.len()))
             {
@@ -229,6 +231,7 @@ impl SceneLog {
                 seq,
                 at_ms: change.at_ms,
                 effect,
+                back_to,
                 motion: change.motion,
                 volume_removed: change.volume_removed,
                 totals: change.totals,
@@ -257,6 +260,22 @@ impl SceneLog {
         }
         let [deleted, inserted] = codec::decode(packed.cubes, self.edge).map_err(damaged)?;
         Ok(Effect { deleted, inserted })
+    }
+
+    /// Which seq the change at `seq` went back to, from the columns of `operations` from `first` on.
+    pub(super) fn back_to(
+        &self,
+        row: &Row<'_>,
+        first: usize,
+        seq: Seq,
+    ) -> Result<Option<Seq>, LogError> {
+        let Database { site, seal, .. } = &self.database;
+        let back_to = Packed::back_to(row, first, *seal)
+            .map_err(|error| site.damaged(seq, format_args!("what it went back to: {error}")))?;
+        if back_to.is_some_and(|back_to| back_to >= seq) {
+            return Err(site.damaged(seq, "it went back to what had not been"));
+        }
+        Ok(back_to)
     }
 
     /// `expected` is the seq after the last that was read.

@@ -1,10 +1,27 @@
-//! Reading operations backwards: what the cubes were at an earlier seq.
+//! The way from the newest state to an earlier one, by the changes between them.
 //!
 //! Knows which operations are kept; what becomes of the difference is the service's.
+//!
+//! A change that went back made a state that had been before. So states are a tree, and the way between two of them
+//! leads over the changes that tell them apart, however often one went to and fro meanwhile:
+//!
+//! ```text
+//!   1 ── 2 ── 3 ── 4          5 went back to 2: it is the same state
+//!        └─ (5) ── 6 ── 7     from 7 to 4: undo 7 and 6, redo 3 and 4; what 5 did is not read
+//! ```
 
 use super::scene::SceneLog;
 use super::{LogError, Seq};
 use crate::geometry::Effect;
+
+/// A change on the way from one state to another.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Step<'a> {
+    /// It is taken back.
+    Undo(&'a Effect),
+    /// It is done again.
+    Redo(&'a Effect),
+}
 
 impl SceneLog {
     /// Oldest seq that can be gone back to: the operations of every later change are kept.
@@ -12,30 +29,70 @@ impl SceneLog {
         Seq(self.database.head.operations_first - 1)
     }
 
-    /// Shows what every change after `to` did, newest first. `to` is reachable. O(operations since).
+    /// Shows what leads from the newest state to that at `to`, in order. `to` is reachable. O(operations that tell the two states
+    /// apart, and changes between them).
     /// # Errors
-    /// [`LogError::Damaged`] when a record is not what was written.
-    pub fn read_back(&self, to: Seq, visit: &mut dyn FnMut(&Effect)) -> Result<(), LogError> {
+    /// [`LogError::Damaged`] when a record is missing or not what was written.
+    pub fn way_to(&self, to: Seq, visit: &mut dyn FnMut(Step<'_>)) -> Result<(), LogError> {
         assert!(
-            self.oldest_reachable() <= to,
+            self.oldest_reachable() <= to && to <= self.seq(),
             "operations that were dropped are not asked for"
         );
+        let (mut from, mut to) = (self.origin(self.seq())?, self.origin(to)?);
+        let mut redone = Vec::new();
+        // The newer of two different states is never the one that both have come from.
+        while from != to {
+            if from > to {
+                visit(Step::Undo(&self.effect(from)?));
+                from = self.origin(Seq(from.0 - 1))?;
+            } else {
+                redone.push(to);
+                to = self.origin(Seq(to.0 - 1))?;
+            }
+        }
+        for seq in redone.into_iter().rev() {
+            visit(Step::Redo(&self.effect(seq)?));
+        }
+        Ok(())
+    }
+
+    /// The first seq with the same state, as far as it can be reached: of a change that went back, what it went back to.
+    fn origin(&self, seq: Seq) -> Result<Seq, LogError> {
+        let oldest = self.oldest_reachable();
+        let mut origin = seq;
+        while origin > oldest {
+            let sql = "SELECT seq, back_to, back_crc FROM operations WHERE seq = ?";
+            match self.one(sql, origin, |row| self.back_to(row, 0, origin))? {
+                Some(back_to) if back_to >= oldest => origin = back_to,
+                _ => break,
+            }
+        }
+        Ok(origin)
+    }
+
+    fn effect(&self, seq: Seq) -> Result<Effect, LogError> {
+        let sql = "SELECT * FROM operations WHERE seq = ?";
+        self.one(sql, seq, |row| self.operations(row, 0, seq))
+    }
+
+    /// The row of one change, which there must be.
+    fn one<T>(
+        &self,
+        sql: &str,
+        seq: Seq,
+        read: impl FnOnce(&rusqlite::Row<'_>) -> Result<T, LogError>,
+    ) -> Result<T, LogError> {
         let site = &self.database.site;
-        let mut expected = self.seq();
-        self.each(
-            "SELECT * FROM operations WHERE seq > ? ORDER BY seq DESC",
-            [to.0.cast_signed()],
-            |row| {
-                let effect = self.operations(row, 0, expected)?;
-                expected = Seq(expected.0 - 1);
-                visit(&effect);
-                Ok(())
-            },
-        )?;
-        if expected == to.min(self.seq()) {
-            Ok(())
-        } else {
-            Err(site.damaged(expected, "the change is missing"))
+        let sqlite = site.sqlite(seq);
+        let mut statement = self
+            .database
+            .connection
+            .prepare_cached(sql)
+            .map_err(&sqlite)?;
+        let mut rows = statement.query([seq.0.cast_signed()]).map_err(&sqlite)?;
+        match rows.next().map_err(&sqlite)? {
+            Some(row) => read(row),
+            None => Err(site.damaged(seq, "the change is missing")),
         }
     }
 }

@@ -304,7 +304,7 @@ impl Log for SceneLog {
                     number: record.seq.0,
                     cubes: bytes,
                 };
-                operations.insert_operations(connection, seal)?;
+                operations.insert_operations(connection, seal, record.back_to)?;
                 head.seq = record.seq;
                 head.operations_bytes += count(bytes.len());
                 head.operations_cubes += count(deleted.len()) + count(inserted.len());
@@ -406,6 +406,7 @@ mod tests {
             seq: Seq(seq),
             at_ms: 0,
             motion: Motion::default(),
+            back_to: None,
             volume_removed: 0,
             effect: Effect {
                 deleted: vec![],

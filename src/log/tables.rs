@@ -8,7 +8,8 @@
 //! head        1 row, part of every transaction: which rows there must be
 //! meta        1 row: what was fixed when the scene was created
 //! changes     seq -> time, counts, totals         kept as long as the history is
-//! operations  seq -> cubes deleted and inserted   kept for replay, and to go back by
+//! operations  seq -> cubes deleted and inserted   kept for replay, and to go back by; and, with a CRC of its own because
+//!                    the cubes need not be read then, which seq it went back to
 //! snapshots   number -> seq, time, totals, ...    one, or none yet
 //! chunks      number << 16 | index -> up to 65,536 cubes
 //! keys        number -> idempotency key and its answer
@@ -47,7 +48,8 @@ pub(super) const TABLES: [(&str, &str); 8] = [
     ),
     (
         "operations",
-        "CREATE TABLE operations(seq INTEGER PRIMARY KEY, cubes BLOB NOT NULL, crc INTEGER NOT NULL) STRICT",
+        "CREATE TABLE operations(seq INTEGER PRIMARY KEY, back_to INTEGER, back_crc INTEGER NOT NULL, cubes BLOB NOT NULL, \
+         crc INTEGER NOT NULL) STRICT",
     ),
     (
         "snapshots",
@@ -408,15 +410,48 @@ impl<'a> Packed<'a> {
         &self,
         connection: &Connection,
         seal: Seal,
+        back_to: Option<Seq>,
     ) -> rusqlite::Result<()> {
         let crc = self.crc(seal, "operations").finish();
+        let back_crc = Self::back_crc(seal, self.number, back_to).finish();
         connection
-            .prepare_cached("INSERT INTO operations VALUES(?, ?, ?)")?
-            .execute(params![self.number.cast_signed(), self.cubes, crc])?;
+            .prepare_cached("INSERT INTO operations VALUES(?, ?, ?, ?, ?)")?
+            .execute(params![
+                self.number.cast_signed(),
+                back_to.map(|seq| seq.0.cast_signed()),
+                back_crc,
+                self.cubes,
+                crc
+            ])?;
         Ok(())
     }
 
-    /// The columns seq, cubes, crc of `operations` from `first` on.
+    fn back_crc(seal: Seal, number: u64, back_to: Option<Seq>) -> Crc {
+        let mut crc = seal.row("operations back");
+        crc.number(number)
+            .number(u64::from(back_to.is_some()))
+            .number(back_to.map_or(0, |seq| seq.0));
+        crc
+    }
+
+    /// The columns seq, back_to and back_crc of `operations` from `first` on: which seq a change went back to.
+    pub(super) fn back_to(
+        row: &Row<'_>,
+        first: usize,
+        seal: Seal,
+    ) -> Result<Option<Seq>, Malformed> {
+        let columns = Columns(row);
+        let number = columns.number(first)?;
+        let back_to = match columns.value(first + 1)? {
+            ValueRef::Null => None,
+            ValueRef::Integer(seq) => Some(Seq(seq.cast_unsigned())),
+            _ => return Err(Malformed("a column is not a number")),
+        };
+        Self::back_crc(seal, number, back_to).check(columns.number(first + 2)?)?;
+        Ok(back_to)
+    }
+
+    /// A whole row of `operations`, from the column `first` on; but for what [`Self::back_to`] reads.
     pub(super) fn operations(
         row: &'a Row<'a>,
         first: usize,
@@ -425,11 +460,11 @@ impl<'a> Packed<'a> {
         let columns = Columns(row);
         let packed = Self {
             number: columns.number(first)?,
-            cubes: columns.blob(first + 1)?,
+            cubes: columns.blob(first + 3)?,
         };
         packed
             .crc(seal, "operations")
-            .check(columns.number(first + 2)?)?;
+            .check(columns.number(first + 4)?)?;
         Ok(packed)
     }
 
@@ -606,7 +641,7 @@ impl Keys {
     }
 }
 
-const ANSWER_VERSION: u8 = 1;
+const ANSWER_VERSION: u8 = 2;
 
 fn put_answer(to: &mut Vec<u8>, answer: &Answer) {
     to.push(ANSWER_VERSION);
@@ -626,6 +661,7 @@ fn put_answer(to: &mut Vec<u8>, answer: &Answer) {
     } else {
         to.push(0);
     }
+    codec::put_volume(to, answer.volume_removed);
     codec::put_totals(to, &answer.totals);
 }
 
@@ -645,6 +681,7 @@ fn take_answer(bytes: &[u8]) -> Result<Answer, Malformed> {
             1 => Some((CubeId(reader.varint()?), CubeId(reader.varint()?))),
             _ => return Err(Malformed("ids that are neither given nor not")),
         },
+        volume_removed: codec::take_volume(&mut reader)?,
         totals: codec::take_totals(&mut reader)?,
     };
     reader.finish()?;

@@ -219,12 +219,17 @@ impl Inbox {
         let mut operations = 0;
         while let Some(next) = state.changes.front() {
             let more = next.submission.operations();
-            if !group.is_empty() && operations + more > group_operations_max {
+            // A going back is a group of its own: nobody knows how many operations it takes before it is judged.
+            let alone = matches!(next.submission.operations, Operations::Revert(_));
+            if !group.is_empty() && (alone || operations + more > group_operations_max) {
                 break;
             }
             operations += more;
             state.operations -= more;
             group.extend(state.changes.pop_front());
+            if alone {
+                break;
+            }
         }
         drop(state);
         self.room.notify_waiters();

@@ -125,6 +125,8 @@ pub struct Applied {
     pub counts: Counts,
     /// First and last id the server gave.
     pub assigned: Option<(CubeId, CubeId)>,
+    /// Volume it removed from the stock, or added to the union where there is no stock. Units: steps cubed.
+    pub volume_removed: i128,
     /// Whether this is the recorded answer of an earlier request with the same key.
     pub replayed: bool,
 }
@@ -216,6 +218,14 @@ pub enum ServiceError {
     IdsExhausted {
         /// How many were wanted.
         wanted: u64,
+    },
+    /// One record does not hold the change.
+    #[error(
+        "the change has {operations} operations, and one change holds at most {CHANGE_OPERATIONS_MAX}; go back by way of a seq in between, or send it in parts"
+    )]
+    TooManyOperations {
+        /// How many it has.
+        operations: usize,
     },
     /// The key came before with another body.
     #[error("the idempotency key was used with another body")]

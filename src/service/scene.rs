@@ -20,7 +20,6 @@ use tokio::sync::{Semaphore, watch};
 use super::inbox::{End, Inbox, Pending, Shut};
 use super::recover::Gate;
 use super::set::{CubeSet, View};
-use super::writer::too_many;
 use super::{
     Applied, Audit, CHANGE_OPERATIONS_MAX, Chain, FaultHook, HistoryRow, Published, SceneName,
     SceneState, Seq, ServiceConfig, ServiceError, Submission, meters,
@@ -164,7 +163,7 @@ impl Scene {
     pub async fn change(&self, submission: Submission) -> Result<Applied, ServiceError> {
         let operations = submission.operations();
         if operations > CHANGE_OPERATIONS_MAX {
-            return Err(too_many(operations));
+            return Err(ServiceError::TooManyOperations { operations });
         }
         let (pending, answer) = Pending::new(submission, None);
         self.inbox
@@ -185,7 +184,7 @@ impl Scene {
     {
         let operations = submission.operations();
         if operations > CHANGE_OPERATIONS_MAX {
-            return Err(too_many(operations));
+            return Err(ServiceError::TooManyOperations { operations });
         }
         let (mut pending, answer) = Pending::new(submission, chain);
         loop {

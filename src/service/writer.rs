@@ -23,7 +23,7 @@ use super::{
 };
 use crate::engine::{Access, Counts, Engine, Judged, Op};
 use crate::geometry::{CubeId, Effect, Place, Totals};
-use crate::log::{Answer, KeyRecord, Log, LogError, Record, SceneLog};
+use crate::log::{Answer, KeyRecord, Log, LogError, Record, SceneLog, Step};
 
 /// Cubes that one step of a snapshot writes: a few milliseconds between two groups.
 const SNAPSHOT_CHUNK_CUBES: usize = 65_536;
@@ -295,12 +295,19 @@ impl Live {
 
     /// Judges a change against the engine and applies it: the engine is then ahead of the log.
     fn judge(&mut self, group: &mut Group, submission: Submission) -> Result<Answered, LogError> {
+        let mut back_to = None;
         let judged = match submission.operations {
-            Operations::Revert(to) => self.judge_revert(group, to)?.map(|judged| (judged, None)),
+            Operations::Revert(to) => {
+                assert!(group.is_empty(), "a going back is a group of its own");
+                back_to = Some(to);
+                self.judge_revert(to)?.map(|judged| (judged, None))
+            }
             operations => self.judge_operations(operations),
         };
         let (counting, motion) = (submission.counting, submission.motion);
-        Ok(judged.map(|(judged, assigned)| self.apply(group, judged, assigned, counting, motion)))
+        Ok(judged.map(|(judged, assigned)| {
+            self.apply(group, judged, assigned, counting, motion, back_to)
+        }))
     }
 
     fn judge_operations(
@@ -313,13 +320,10 @@ impl Live {
         Ok((judged, assigned))
     }
 
-    /// What makes the set of cubes what it was at `to`: the changes since undone, newest first, and only the net effect kept.
-    fn judge_revert(
-        &self,
-        group: &Group,
-        to: Seq,
-    ) -> Result<Result<Judged, ServiceError>, LogError> {
-        let newest = group.newest().unwrap_or(self.published).seq;
+    /// What makes the set of cubes what it was at `to`: the changes that tell the two apart undone and redone, and only the net
+    /// effect kept.
+    fn judge_revert(&self, to: Seq) -> Result<Result<Judged, ServiceError>, LogError> {
+        let newest = self.published.seq;
         let oldest = self.log.oldest_reachable();
         if to > newest {
             return Ok(Err(ServiceError::SeqNotReached { seq: to, newest }));
@@ -327,18 +331,16 @@ impl Live {
         if to < oldest {
             return Ok(Err(ServiceError::NotReachable { seq: to, oldest }));
         }
-        // Where each cube was, as of the oldest change that has touched it.
+        // Where each cube on the way was at last.
         let mut then: HashMap<CubeId, Option<Place>> = HashMap::new();
-        let mut undo = |effect: &Effect| {
-            then.extend(effect.inserted.iter().map(|&(id, _)| (id, None)));
-            then.extend(effect.deleted.iter().map(|&(id, place)| (id, Some(place))));
-        };
-        for record in group.records.iter().rev().filter(|record| record.seq > to) {
-            undo(&record.effect);
-        }
-        if to < self.published.seq {
-            self.log.read_back(to, &mut undo)?;
-        }
+        self.log.way_to(to, &mut |step| {
+            let (gone, come) = match step {
+                Step::Undo(Effect { deleted, inserted }) => (inserted, deleted),
+                Step::Redo(Effect { deleted, inserted }) => (deleted, inserted),
+            };
+            then.extend(gone.iter().map(|&(id, _)| (id, None)));
+            then.extend(come.iter().map(|&(id, place)| (id, Some(place))));
+        })?;
         let mut then: Vec<(CubeId, Option<Place>)> = then.into_iter().collect();
         then.sort_unstable_by_key(|(id, _)| *id);
         let mut effect = Effect::default();
@@ -353,7 +355,7 @@ impl Live {
         });
         let operations = effect.deleted.len() + effect.inserted.len();
         if operations > CHANGE_OPERATIONS_MAX {
-            return Ok(Err(too_many(operations)));
+            return Ok(Err(ServiceError::TooManyOperations { operations }));
         }
         let counts = Counts {
             inserted: effect.inserted.len() as u64,
@@ -375,13 +377,17 @@ impl Live {
         assigned: Option<IdRange>,
         counting: Counting,
         motion: Motion,
+        back_to: Option<Seq>,
     ) -> Applied {
         let counts = match counting {
             Counting::Net => judged.net,
             Counting::InOrder => judged.in_order,
         };
         let mut published = group.newest().unwrap_or(self.published);
-        if judged.effect != Effect::default() || motion.is_said() {
+        let mut volume_removed = 0;
+        // A move that cuts nothing is a change too; but operations sent again that are done already are none.
+        let is_move = motion.is_said() && judged.net.unchanged == 0;
+        if judged.effect != Effect::default() || is_move {
             self.feed.set.apply(&judged.effect);
             for &(id, _) in &judged.effect.inserted {
                 self.next_id = next_id_after(self.next_id, id);
@@ -392,13 +398,15 @@ impl Live {
                 at_ms: now_ms().max(published.at_ms),
                 totals: self.feed.set.look(Engine::totals),
             };
+            volume_removed = removed(&published.totals) - before;
             group.net.push(judged.net);
             group.records.push(Record {
                 seq: published.seq,
                 at_ms: published.at_ms,
                 effect: judged.effect,
+                back_to,
                 motion,
-                volume_removed: removed(&published.totals) - before,
+                volume_removed,
                 totals: published.totals,
             });
         }
@@ -406,6 +414,7 @@ impl Live {
             published,
             counts,
             assigned,
+            volume_removed,
             replayed: false,
         }
     }
@@ -527,16 +536,6 @@ fn removed(totals: &Totals) -> i128 {
     }
 }
 
-/// The refusal of a change that no record holds.
-pub(super) fn too_many(operations: usize) -> ServiceError {
-    ServiceError::Storage {
-        cause: format!(
-            "a change of {operations} operations is more than the {CHANGE_OPERATIONS_MAX} that one record holds"
-        ),
-        full: false,
-    }
-}
-
 /// What a change is answered when the commit it was in has failed.
 fn unacknowledged(error: &LogError) -> ServiceError {
     ServiceError::Stopped {
@@ -555,6 +554,7 @@ fn recorded(applied: &Applied) -> Answer {
         deleted: applied.counts.deleted,
         unchanged: applied.counts.unchanged,
         assigned: applied.assigned,
+        volume_removed: applied.volume_removed,
         totals: applied.published.totals,
     }
 }
@@ -572,6 +572,7 @@ fn replayed(answer: &Answer) -> Applied {
             unchanged: answer.unchanged,
         },
         assigned: answer.assigned,
+        volume_removed: answer.volume_removed,
         replayed: true,
     }
 }

@@ -88,7 +88,7 @@ kinds! {
     NotReachable "seq-not-reachable" 410 None, "This seq can no longer be gone back to",
         "`oldest` is the oldest that can: the operations of older changes were dropped behind a snapshot. The settings revert_changes_max and revert_bytes_max say how many are kept.";
     TooLarge "too-large" 413 None, "The request is larger than the limits",
-        "Split the change, or send application/x-ndjson, which has no limit as a whole.";
+        "Split the change, or send application/x-ndjson, which has no limit as a whole; go back by way of a seq in between.";
     UnsupportedMediaType "unsupported-media-type" 415 None, "The body's type is not taken here",
         "The detail lists the types that are. Content-Encoding is not taken.";
     Invalid "invalid" 422 None, "The request can be read but is wrong",
@@ -351,6 +351,7 @@ impl From<ServiceError> for Problem {
                 problem(Code::SceneFull)
             }
             ServiceError::IdsExhausted { .. } => problem(Code::IdsExhausted),
+            ServiceError::TooManyOperations { .. } => problem(Code::TooLarge),
             ServiceError::KeyReused => problem(Code::KeyReused),
             ServiceError::SeqNotKept { oldest, .. } => {
                 problem(Code::SeqNotKept).with("oldest", oldest.0)

@@ -7,7 +7,8 @@ use std::time::Duration;
 use tokio::sync::mpsc;
 use tokio_stream::{Stream, StreamExt};
 use tonic::{Code, Status, Streaming};
-use union3d::service::FaultStep;
+use union3d::log::LogError;
+use union3d::service::{FaultStep, SceneState, ServiceConfig};
 use union3d::wire::http::Limits;
 use union3d::wire::proto::{
     Acknowledged, Change, OnRefusal, Opened, Refused, StreamChangesRequest, StreamChangesResponse,
@@ -270,15 +271,41 @@ async fn a_fast_sender_is_slowed_down_and_not_refused() {
 }
 
 async fn slowed_down(queue_changes_max: usize) {
-    let hold = Arc::new(AtomicBool::new(true));
+    let (hold, is_held) = (
+        Arc::new(AtomicBool::new(false)),
+        Arc::new(AtomicBool::new(false)),
+    );
+    let faults = {
+        let (hold, is_held) = (hold.clone(), is_held.clone());
+        move |step| {
+            while step == FaultStep::Append && hold.load(Ordering::Acquire) {
+                is_held.store(true, Ordering::Release);
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            None
+        }
+    };
     let config = move |mut config: union3d::service::ServiceConfig| {
         config.queue_changes_max = queue_changes_max;
         config
     };
-    let server = Server::with(Limits::default(), config, Some(held(&hold))).await;
+    let server = Server::with(Limits::default(), config, Some(Arc::new(faults))).await;
     server.scene("part", 6).await;
     let count = Arc::new(AtomicU64::new(0));
+    let (go, gate) = tokio::sync::oneshot::channel::<()>();
+    let messages = endless("part", &count);
+    let messages = async_stream::stream! {
+        let mut messages = std::pin::pin!(messages);
+        yield messages.next().await.unwrap();
+        gate.await.unwrap();
+        while let Some(message) = messages.next().await {
+            yield message;
+        }
+    };
+    let mut answers = stream(&mut server.client(), messages).await;
+    let window = u64::from(opened(&mut answers).await.window_changes_max);
     // One that does change something holds the writer at the disk.
+    hold.store(true, Ordering::Release);
     let change = tokio::spawn({
         let mut client = server.client();
         let request = union3d::wire::proto::ApplyChangeRequest {
@@ -288,8 +315,11 @@ async fn slowed_down(queue_changes_max: usize) {
         };
         async move { client.apply_change(request).await.unwrap() }
     });
-    let mut answers = stream(&mut server.client(), endless("part", &count)).await;
-    let window = u64::from(opened(&mut answers).await.window_changes_max);
+    eventually("the writer is held", async || {
+        is_held.load(Ordering::Acquire)
+    })
+    .await;
+    go.send(()).unwrap();
     let sent = settled(&count).await;
     assert!(sent < window + ON_THE_WAY, "{sent} changes were taken in");
     hold.store(false, Ordering::Release);
@@ -375,13 +405,63 @@ async fn draining_acknowledges_what_is_in_flight() {
     drop(send);
 }
 
+/// When the disk fails it is not known whether a change was kept, so nothing is said about it: the stream ends, and the change can
+/// be sent again.
+#[tokio::test]
+async fn a_failed_disk_is_no_refusal() {
+    let fails = Arc::new(AtomicBool::new(false));
+    let asked = fails.clone();
+    let faults = move |step| {
+        let fails = step == FaultStep::Appended && asked.swap(false, Ordering::AcqRel);
+        fails.then(|| LogError::Failed {
+            path: "log".into(),
+            cause: "the disk was pulled".to_owned(),
+        })
+    };
+    let config = |config| ServiceConfig {
+        probe_interval: Duration::from_millis(5),
+        ..config
+    };
+    let server = Server::with(Limits::default(), config, Some(Arc::new(faults))).await;
+    server.scene("part", 6).await;
+    for policy in [OnRefusal::Stop, OnRefusal::Continue] {
+        fails.store(policy == OnRefusal::Stop, Ordering::Release);
+        let change = Change {
+            r#move: Some(7),
+            ..row(1..2)
+        };
+        let messages = [opening("part", policy, NONE), tagged(1, change)];
+        let messages = tokio_stream::iter(messages);
+        let mut answers = stream(&mut server.client(), messages).await;
+        opened(&mut answers).await;
+        if policy == OnRefusal::Stop {
+            let end = next(&mut answers).await.unwrap().unwrap_err();
+            refused(&end, Code::Unavailable, "scene-stopped");
+            eventually("the scene is back", async || {
+                let back = server.service.scene("part");
+                back.is_ok_and(|scene| scene.state() == SceneState::Running)
+            })
+            .await;
+        } else {
+            // It had been kept: sent again it is there already, and the same move is not counted twice.
+            let outcome = acknowledged(&mut answers).await.outcome.unwrap();
+            assert_eq!((outcome.seq, outcome.unchanged), (1, 1));
+        }
+    }
+}
+
 /// After a broken connection the scene's seq and the client's own ids tell where to go on: sending again is safe.
 #[tokio::test]
 async fn a_client_that_comes_back_goes_on_where_it_was() {
     let server = Server::start().await;
     server.scene("part", 6).await;
+    let with_motion = |id| Change {
+        r#move: Some(id),
+        duration: Some(0.5),
+        ..row(id..id + 1)
+    };
     let all: Vec<_> = (1..=500_u64)
-        .map(|id| tagged(id, row(id..id + 1)))
+        .map(|id| tagged(id, with_motion(id)))
         .collect();
     let mut acknowledged_to = 0;
     // Broken off in mid-flight four times, then to the end.

@@ -170,7 +170,10 @@ async fn the_answer_can_be_short() {
     let answer = server.send("POST", &path, JSON, body).await.ok();
     assert_eq!(
         answer,
-        json!({"seq": 1, "inserted": 1, "deleted": 0, "unchanged": 0})
+        json!({
+            "seq": 1, "inserted": 1, "deleted": 0, "unchanged": 0,
+            "volume_removed": 8.0, "volume_removed_exact": "8",
+        })
     );
 }
 

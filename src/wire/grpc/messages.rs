@@ -136,6 +136,8 @@ pub(super) fn outcome(
             last: last.0,
         }),
         replayed: applied.replayed,
+        volume_removed: settings.volume_user(applied.volume_removed),
+        volume_removed_exact: applied.volume_removed.to_string(),
         volumes,
         mass_properties,
     }

@@ -259,6 +259,10 @@ impl UnionService for Calls {
         };
         let (Seq(seq), cubes) = bounded(&self.limits, "", work).await?.into_inner();
         Ok(Response::new(Box::pin(async_stream::stream! {
+            if cubes.is_empty() {
+                let cubes = Some(messages::insertion(&[]));
+                yield Ok(ListCubesResponse { seq, cubes });
+            }
             for cubes in cubes.chunks(LISTED_CUBES) {
                 let cubes = Some(messages::insertion(cubes));
                 yield Ok(ListCubesResponse { seq, cubes });

@@ -20,7 +20,9 @@ use tonic::{Status, Streaming};
 
 use super::messages::{self, Detail, unknown};
 use super::status::{self, foreign};
-use crate::service::{Applied, Chain, Scene, ServiceError};
+use crate::service::{
+    Applied, Chain, Counting, Motion, Operations, Scene, ServiceError, Submission,
+};
 use crate::wire::atomic::{Atomic, Sent};
 use crate::wire::calls;
 use crate::wire::convert::Settings;
@@ -78,7 +80,16 @@ pub(super) async fn open(
         Err(_) => return Err(problem(unknown("on_refusal", on_refusal))),
     };
     let (scene, settings) = calls::open(service, &scene).map_err(problem)?;
-    scene.published().map_err(|error| problem(error.into()))?;
+    // What an earlier stream of the client has queued is done before: so the seq in the answer is after it.
+    let nothing = Submission {
+        operations: Operations::Named(Vec::new()),
+        counting: Counting::Net,
+        motion: Motion::default(),
+        key: None,
+    };
+    let queued = scene.submit(nothing, None).await;
+    let done = queued.map_err(|error| problem(error.into()))?.await;
+    done.map_err(|error| problem(error.into()))?;
     let reader = Reader {
         inbound,
         scene: scene.clone(),
@@ -108,12 +119,16 @@ pub(super) async fn open(
                     break;
                 }
             };
-            let refused = Refused {
-                tag,
-                problem: Some(status::message(&problem, BODY).1),
-            };
-            yield Ok(answer(response::Message::Refused(refused)));
-            if stops || !concerns_the_change(problem.code()) {
+            // Of another failure it is not known whether the change was kept: the stream ends without a word about it.
+            let concerns_it = concerns_the_change(problem.code());
+            if concerns_it {
+                let refused = Refused {
+                    tag,
+                    problem: Some(status::message(&problem, BODY).1),
+                };
+                yield Ok(answer(response::Message::Refused(refused)));
+            }
+            if stops || !concerns_it {
                 yield Err(status::status(&problem, BODY));
                 break;
             }

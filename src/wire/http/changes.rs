@@ -10,9 +10,9 @@ use utoipa::ToSchema;
 
 use super::request::{self, BodyType, Parameters, Path, body_type, idempotency_key};
 use super::{App, ndjson, scenes};
-use crate::engine::{Counts, Op};
+use crate::engine::Op;
 use crate::geometry::CubeId;
-use crate::service::{Applied, Counting, Motion, Operations, Published, Scene, Submission};
+use crate::service::{Applied, Counting, Motion, Operations, Scene, Submission};
 use crate::wire::atomic::{Atomic, Sent};
 use crate::wire::calls;
 use crate::wire::convert::{MassProperties, Settings, mass_properties};
@@ -37,6 +37,12 @@ pub(crate) struct Answer {
     /// The ids that the server gave, in the order of `insert`; left out when it gave none.
     #[serde(skip_serializing_if = "Option::is_none")]
     assigned: Option<Assigned>,
+    /// Volume that it removed from the stock, or added to the union where there is no stock, in user units cubed.
+    #[schema(example = 82.41919)]
+    volume_removed: f64,
+    /// The same as a decimal integer, in lattice steps cubed.
+    #[schema(example = "82419190000")]
+    volume_removed_exact: String,
     /// The totals after it; left out with `return=minimal`.
     #[serde(skip_serializing_if = "Option::is_none")]
     mass_properties: Option<MassProperties>,
@@ -62,10 +68,15 @@ pub(super) fn answer(
     scene: &Scene,
     settings: &Settings,
     wanted: Return,
-    published: &Published,
-    counts: Counts,
-    assigned: Option<(CubeId, CubeId)>,
+    applied: &Applied,
 ) -> Json<Answer> {
+    let Applied {
+        published,
+        counts,
+        assigned,
+        volume_removed,
+        ..
+    } = applied;
     let name = Some(scene.name().as_str());
     let seq = published.seq.0;
     Json(Answer {
@@ -77,6 +88,8 @@ pub(super) fn answer(
             first: first.0,
             last: last.0,
         }),
+        volume_removed: settings.volume_user(*volume_removed),
+        volume_removed_exact: volume_removed.to_string(),
         mass_properties: (wanted == Return::Representation)
             .then(|| mass_properties(name, Some(seq), &published.totals, settings)),
     })
@@ -88,15 +101,8 @@ fn applied_answer(
     wanted: Return,
     applied: &Applied,
 ) -> Response {
-    let Applied {
-        published,
-        counts,
-        assigned,
-        replayed,
-    } = applied;
-    let mut response =
-        answer(scene, settings, wanted, published, *counts, *assigned).into_response();
-    if *replayed {
+    let mut response = answer(scene, settings, wanted, applied).into_response();
+    if applied.replayed {
         response.headers_mut().insert(
             HeaderName::from_static("idempotency-replayed"),
             HeaderValue::from_static("true"),
@@ -111,7 +117,8 @@ fn applied_answer(
 /// nothing. Inserting an id that is there at the same place, or deleting one that is not there, changes nothing and counts as
 /// `unchanged`, so a retry is safe. Ids may be left out of all cubes: then the server numbers them, and an `Idempotency-Key`
 /// makes a retry safe. `move` and `duration` say which movement of a machine the change belongs to and how many seconds it took: they
-/// stand in the history, and a change that has one takes a seq even when it changes no cube (nothing was cut, but time passed).
+/// stand in the history, and a change that has one takes a seq even when it has no cubes (nothing was cut, but time passed); not when it is
+/// sent again, and its cubes are there already.
 ///
 /// `application/x-ndjson` is a stream of any length, a line an operation. Lines act in their order and are committed as they
 /// arrive; the answer comes at the end and adds them up. At a bad line it stops: all lines before it are committed.
@@ -152,9 +159,9 @@ pub(super) async fn post_changes(
                 "is not taken with a stream: its lines name their ids, which makes a retry safe";
             return Err(Fault::in_parameter("Idempotency-Key", detail, &key).into());
         }
-        let (published, counts) =
-            ndjson::apply(&scene, &settings, body, app.limits.request_timeout).await?;
-        return Ok(answer(&scene, &settings, wanted, &published, counts, None).into_response());
+        let idle_max = app.limits.request_timeout;
+        let applied = ndjson::apply(&scene, &settings, body, idle_max).await?;
+        return Ok(answer(&scene, &settings, wanted, &applied).into_response());
     }
     // The room that it takes is given back when it is answered.
     let body = request::read(&headers, body, &app.limits, &app.room).await?;
@@ -177,8 +184,8 @@ pub(super) async fn post_changes(
 /// Go back
 ///
 /// Makes the scene's set of cubes what it was at an earlier seq, as one new change: the history stays as it is, and going forward
-/// again is going back to a later seq. Takes time in proportion to the operations since. The limit of cubes of a change does not
-/// apply. Nothing happens, and no seq is taken, when the cubes are those of that seq already.
+/// again is going back to a later seq. Takes time in proportion to the operations that tell the two states apart. The limit of
+/// cubes of a change does not apply, but that of a record does: 2^24 operations. Nothing happens, and no seq is taken, when the cubes are those of that seq already.
 #[utoipa::path(
     post, path = "/v1/scenes/{scene}/revert", tag = "changes",
     params(
@@ -233,10 +240,8 @@ pub(super) async fn delete_cube(
         motion: Motion::default(),
         key: None,
     };
-    let Applied {
-        published, counts, ..
-    } = scene.change(submission).await?;
-    Ok(answer(&scene, &settings, wanted, &published, counts, None))
+    let applied = scene.change(submission).await?;
+    Ok(answer(&scene, &settings, wanted, &applied))
 }
 
 fn returned(minimal: bool) -> Return {

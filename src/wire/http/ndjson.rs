@@ -41,7 +41,7 @@ const LINE_BYTES_MAX: usize = 64 << 10;
 const RETRY_PAUSE_MIN: Duration = Duration::from_millis(2);
 const RETRY_PAUSE_MAX: Duration = Duration::from_millis(200);
 
-/// Applies a stream to its end. Answers the state after the last chunk, and the counts of all.
+/// Applies a stream to its end. Answers the state after the last chunk, and what all of them did.
 /// # Errors
 /// What stopped it, with `line`, `committed_lines` and `seq`: all lines before are committed, none after.
 pub(super) async fn apply(
@@ -49,7 +49,7 @@ pub(super) async fn apply(
     settings: &Settings,
     body: Body,
     idle_max: Duration,
-) -> Result<(Published, Counts), Problem> {
+) -> Result<Applied, Problem> {
     let mut body = body.into_data_stream();
     let mut lines = Lines::default();
     let mut waiting = Chunk::default();
@@ -103,7 +103,13 @@ pub(super) async fn apply(
         return Err(sums.stopped(scene, lines.number + 1, problem));
     }
     let published = sums.published.map_or_else(|| scene.published(), Ok)?;
-    Ok((published, sums.counts))
+    Ok(Applied {
+        published,
+        counts: sums.counts,
+        assigned: None,
+        volume_removed: sums.volume_removed,
+        replayed: false,
+    })
 }
 
 /// Operations with the numbers of their lines.
@@ -118,6 +124,7 @@ struct Chunk {
 /// What has come of a chunk.
 struct Committed {
     counts: Counts,
+    volume_removed: i128,
     published: Option<Published>,
     /// The line that could not be applied: those before it are, the rest is not.
     failed: Option<(u64, Problem)>,
@@ -169,6 +176,7 @@ async fn commit(scene: &Scene, settings: &Settings, chunk: Chunk) -> Committed {
     }
     Committed {
         counts: sums.counts,
+        volume_removed: sums.volume_removed,
         published: sums.published,
         failed: refused.map(|problem| (lines[to], problem)),
     }
@@ -178,6 +186,7 @@ async fn commit(scene: &Scene, settings: &Settings, chunk: Chunk) -> Committed {
 #[derive(Default)]
 struct Sums {
     counts: Counts,
+    volume_removed: i128,
     published: Option<Published>,
 }
 
@@ -185,6 +194,7 @@ impl Sums {
     fn applied(&mut self, applied: &Applied) {
         self.add(&Committed {
             counts: applied.counts,
+            volume_removed: applied.volume_removed,
             published: Some(applied.published),
             failed: None,
         });
@@ -194,6 +204,7 @@ impl Sums {
         self.counts.inserted += committed.counts.inserted;
         self.counts.deleted += committed.counts.deleted;
         self.counts.unchanged += committed.counts.unchanged;
+        self.volume_removed += committed.volume_removed;
         self.published = committed.published.or(self.published);
     }
 
