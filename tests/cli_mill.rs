@@ -86,13 +86,125 @@ fn rapids_cut_only_when_asked_to() {
     let (milled, _) = mill(&["--edge", "2"], program);
     assert_eq!(
         (&milled["moves"], &milled["mass_properties"]["volume"]),
-        (&json!(2), &json!(24.0))
+        (&json!(3), &json!(24.0))
     );
     let (milled, _) = mill(&["--edge", "2", "--rapid"], program);
     assert_eq!(
         (&milled["moves"], &milled["mass_properties"]["volume"]),
         (&json!(3), &json!(56.0))
     );
+}
+
+/// Machine time is that of every line that takes some, whatever it cuts.
+#[test]
+fn rapids_and_dwells_take_their_time() {
+    let rapid = "G21 G1 X1\nG0 X11\nG1 X12\n";
+    let seconds =
+        |arguments: &[&str]| mill(arguments, rapid).0["cutting"]["machine_seconds"].take();
+    assert_eq!(seconds(&["--edge", "2"]), 0.12);
+    assert_eq!(seconds(&["--edge", "2", "--rapid-rate", "600"]), 1.0);
+    assert_eq!(
+        seconds(&["--edge", "2", "--rapid-rate", "600", "--rapid"]),
+        1.0
+    );
+
+    let directory = tempfile::tempdir().unwrap();
+    let csv = directory.path().join("lines.csv");
+    let dwells = "G21 G1 X10 F600\nG4 P1.5\nG4 P0.5 G1 X20\n";
+    let (milled, _) = mill(&["--edge", "2", "--csv", csv.to_str().unwrap()], dwells);
+    let cutting = &milled["cutting"];
+    assert_eq!(
+        (&milled["moves"], &cutting["lines"]),
+        (&json!(2), &json!(3))
+    );
+    assert_eq!(cutting["machine_seconds"], 4.0);
+    assert_eq!(cutting["air_cuts"]["count"], 0);
+    // Of the lines that cut: 88 mm^3 in 1 s and 1.5 s.
+    assert_eq!(cutting["removal_rate"]["mean"], 88.0 / 2.5);
+    let rows = std::fs::read_to_string(&csv).unwrap();
+    let rows: Vec<_> = rows
+        .lines()
+        .map(|row| row.split(',').take(4).collect::<Vec<_>>().join(","))
+        .collect();
+    assert_eq!(
+        rows[1..],
+        ["1,feed,101,1.0", "2,dwell,0,1.5", "3,feed,100,1.5"]
+    );
+
+    // A server hears of them, too.
+    let state = Shared::default();
+    let (_runtime, url) = difficult(&state);
+    let program = "G21 G0 X50\nG4 P2\nG1 X60 F600\n";
+    mill(
+        &["--edge", "2", "--server", &url, "--scene", "my-pocket"],
+        program,
+    );
+    let state = state.lock().unwrap();
+    assert_eq!(
+        state.moves,
+        [
+            (Some(1), Some(0.6)),
+            (Some(2), Some(2.0)),
+            (Some(3), Some(1.0))
+        ]
+    );
+    assert_eq!(state.sizes[..2], [0, 0]);
+    check_refused(
+        &["-", "--edge", "2"],
+        "G21 G1 X10 F0.00000001\n",
+        &["line 1", "seconds from 0 to 1e9"],
+    );
+}
+
+/// The parts of a long line removed material all the time, not the first of them in all the time and the others in none.
+#[test]
+fn parts_of_a_long_line_share_its_time() {
+    let state = Shared::default();
+    let (_runtime, url) = difficult(&state);
+    let arguments = [
+        "--edge",
+        "2",
+        "--step",
+        "0.001",
+        "--server",
+        &url,
+        "--scene",
+        "my-pocket",
+    ];
+    let (milled, _) = mill(&arguments, "G21 G1 X150 F1400\n");
+    let state = state.lock().unwrap();
+    assert_eq!(state.sizes, [65_536, 65_536, 150_001 - 2 * 65_536]);
+    let nanoseconds: Vec<u64> = state
+        .moves
+        .iter()
+        .map(|(line, duration)| {
+            assert_eq!(*line, Some(1));
+            (duration.unwrap() * 1e9).round() as u64
+        })
+        .collect();
+    let whole = (150.0 / 1400.0 * 60.0 * 1e9_f64).round() as u64;
+    assert_eq!(nanoseconds.iter().sum::<u64>(), whole);
+    for (cubes, nanoseconds) in state.sizes.iter().zip(nanoseconds) {
+        let share = whole as f64 * *cubes as f64 / 150_001.0;
+        assert!((nanoseconds as f64 - share).abs() <= 1.0, "{nanoseconds}");
+    }
+    assert_eq!(milled["cutting"]["lines"], 1);
+    assert_eq!(milled["cutting"]["machine_seconds"], whole as f64 / 1e9);
+}
+
+#[test]
+fn what_is_removed_is_added_up_exactly() {
+    // Ten tenths: as doubles one by one they do not make 2.
+    let program = format!("G21 G91 F60 G1 X0\n{}", "G1 X0.1\n".repeat(10));
+    let (milled, _) = mill(&["--edge", "1"], &program);
+    let cutting = &milled["cutting"];
+    assert_eq!(cutting["volume_removed"], 2.0);
+    assert_eq!(cutting["machine_seconds"], 1.0);
+    assert_eq!(cutting["removal_rate"]["mean"], 1.0);
+    // The same of rapids.
+    let program = format!("G21 F60 G1 Z-1\nG91\n{}", "G0 X0.1\n".repeat(10));
+    let (milled, _) = mill(&["--edge", "1", "--stock", "-9,-9,-9:9,9,9"], &program);
+    assert_eq!(milled["cutting"]["rapid_cuts"]["volume"], 1.0);
 }
 
 #[test]
@@ -612,7 +724,7 @@ fn a_rapid_that_cuts_can_fail_the_run() {
     let failed = command(&arguments, SLOT);
     assert_eq!(failed.status.code(), Some(3));
     let report = String::from_utf8(failed.stdout).unwrap();
-    assert!(report.contains("1 line: 7 (40 mm^3)"), "{report}");
+    assert!(report.contains("1 line: 7 (40 mm^3)\n"), "{report}");
     assert!(report.contains("on line 5"), "{report}");
     let well = command(&arguments, &SLOT.replace("G0 X20", "G0 Z9"));
     assert_eq!(well.status.code(), Some(0));
@@ -636,6 +748,22 @@ fn a_rapid_that_cuts_can_fail_the_run() {
         "G1 X1\n",
         &["--server or --grpc"],
     );
+}
+
+#[test]
+fn each_rapid_that_cuts_has_its_volume() {
+    let program = format!("{SLOT}G0 Y3\n{}", "G1 X19\nG1 X20\n".repeat(75));
+    let output = command(&[&["mill", "-"], &SLOT_ARGUMENTS[..]].concat(), &program);
+    let report = String::from_utf8(output.stdout).unwrap();
+    let words = "2 lines: 7 (40 mm^3), 8 (12 mm^3); 52 mm^3 in all\n";
+    assert!(report.contains(words), "{report}");
+    // People see the first lines that cut air, programs all of them.
+    let words = "150 lines: 6, 10, 11, 12, 13, 14, 15, 16, 17, 18, ...\n";
+    assert!(report.contains(words), "{report}");
+    let (milled, _) = mill(&SLOT_ARGUMENTS, &program);
+    let air = &milled["cutting"]["air_cuts"];
+    assert_eq!(air["count"], 150);
+    assert_eq!(air["lines"].as_array().unwrap().len(), 150);
 }
 
 /// Over HTTP, over gRPC and in the process itself a program removes the same, line by line.

@@ -161,7 +161,7 @@ impl GrpcStream {
         self.sent += 1;
         let change = Change {
             r#move: Some(part.line),
-            duration: part.duration,
+            duration: part.seconds(),
             ..inserted(self.next_id, &part.places)
         };
         self.next_id += part.places.len() as u64;
