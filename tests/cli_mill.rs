@@ -1,10 +1,12 @@
 //! `union3d mill`: from a program to the mass properties of what the cutter covers, here and on a server.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
+use std::pin::Pin;
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
 
 use axum::body::Bytes;
 use axum::extract::{Path as UrlPath, State};
@@ -14,7 +16,14 @@ use axum::routing::{get, post};
 use axum::{Json, Router};
 use prost::Message;
 use serde_json::{Value, json};
-use union3d::wire::proto::Change;
+use tokio_stream::Stream;
+use tonic::transport::server::TcpIncoming;
+use tonic::{Request, Response, Status, Streaming};
+use union3d::wire::proto::union_service_server::{UnionService, UnionServiceServer};
+use union3d::wire::proto::{
+    self, Acknowledged, Change, Outcome, Volumes, stream_changes_request as request,
+    stream_changes_response as response,
+};
 
 fn command(arguments: &[&str], input: &str) -> Output {
     let mut child = Command::new(env!("CARGO_BIN_EXE_union3d"))
@@ -553,13 +562,18 @@ struct Server {
 
 impl Server {
     fn start(data: &Path) -> Self {
+        Self::start_at(data, "127.0.0.1:0")
+    }
+
+    /// With gRPC at an address.
+    fn start_at(data: &Path, grpc: &str) -> Self {
         let mut child = Command::new(env!("CARGO_BIN_EXE_union3d"))
             .args([
                 "serve",
                 "--http",
                 "127.0.0.1:0",
                 "--grpc",
-                "127.0.0.1:0",
+                grpc,
                 "--log-filter",
                 "error",
                 "--data",
@@ -816,4 +830,274 @@ fn every_way_to_a_scene_removes_the_same() {
     let told = history("http");
     assert!(told.len() > 50, "{}", told.len());
     assert_eq!(told, history("grpc"));
+}
+
+/// How a stream of [`Breaking`] ends once it has taken a change, which it does not acknowledge.
+#[derive(Clone, Copy)]
+enum End {
+    Well,
+    Unavailable,
+    Internal,
+    /// The change is refused for now, nothing of it applied.
+    Busy,
+}
+
+/// A server over gRPC whose first streams end early.
+#[derive(Default)]
+struct Breaking {
+    ends: VecDeque<End>,
+    streams: usize,
+    /// By key, as the server keeps them.
+    applied: BTreeMap<String, Change>,
+    moves: Vec<u64>,
+    cubes: BTreeMap<u64, [i32; 3]>,
+}
+
+impl Breaking {
+    /// Applies a change unless it came before; then it must be the same. The volume is a step cubed for each cube.
+    fn apply(&mut self, key: String, change: Change) {
+        if let Some(before) = self.applied.get(&key) {
+            assert_eq!(*before, change, "{key} came with another change");
+            return;
+        }
+        self.moves.push(change.r#move.unwrap());
+        for (index, id) in change.insert_id.iter().enumerate() {
+            let at = [change.x[index], change.y[index], change.z[index]];
+            assert_eq!(self.cubes.insert(*id, at), None, "id {id} came twice");
+        }
+        self.applied.insert(key, change);
+    }
+
+    fn volume(&self) -> String {
+        self.cubes.len().to_string()
+    }
+}
+
+struct Served(Arc<Mutex<Breaking>>);
+
+type Streamed<T> = Pin<Box<dyn Stream<Item = Result<T, Status>> + Send>>;
+
+/// The calls that `mill` does not make, and those that are served.
+macro_rules! serve {
+    ({$($name:ident($request:ident) -> $answer:ty;)*} $($served:tt)*) => {
+        #[tonic::async_trait]
+        impl UnionService for Served {
+            type StreamChangesStream = Streamed<proto::StreamChangesResponse>;
+            type WatchMassPropertiesStream = Streamed<proto::WatchMassPropertiesResponse>;
+            type GetHistoryStream = Streamed<proto::GetHistoryResponse>;
+            type ListCubesStream = Streamed<proto::ListCubesResponse>;
+            $($served)*
+            $(async fn $name(&self, _: Request<proto::$request>) -> Result<Response<$answer>, Status> {
+                Err(Status::unimplemented(stringify!($name)))
+            })*
+        }
+    };
+}
+
+serve! {
+    {
+        get_scene(GetSceneRequest) -> proto::GetSceneResponse;
+        list_scenes(ListScenesRequest) -> proto::ListScenesResponse;
+        delete_scene(DeleteSceneRequest) -> proto::DeleteSceneResponse;
+        apply_change(ApplyChangeRequest) -> proto::ApplyChangeResponse;
+        revert_scene(RevertSceneRequest) -> proto::RevertSceneResponse;
+        watch_mass_properties(WatchMassPropertiesRequest) -> Self::WatchMassPropertiesStream;
+        get_history(GetHistoryRequest) -> Self::GetHistoryStream;
+        list_cubes(ListCubesRequest) -> Self::ListCubesStream;
+        get_cube(GetCubeRequest) -> proto::GetCubeResponse;
+        contains(ContainsRequest) -> proto::ContainsResponse;
+        audit_scene(AuditSceneRequest) -> proto::AuditSceneResponse;
+    }
+
+    async fn create_scene(
+        &self,
+        _: Request<proto::CreateSceneRequest>,
+    ) -> Result<Response<proto::CreateSceneResponse>, Status> {
+        Ok(Response::new(proto::CreateSceneResponse::default()))
+    }
+
+    async fn get_mass_properties(
+        &self,
+        request: Request<proto::GetMassPropertiesRequest>,
+    ) -> Result<Response<proto::GetMassPropertiesResponse>, Status> {
+        let breaking = self.0.lock().unwrap();
+        let exact = proto::ExactMeasures {
+            volume: breaking.volume(),
+            area: "0".to_owned(),
+            ..proto::ExactMeasures::default()
+        };
+        let properties = proto::MassProperties {
+            scene: request.into_inner().scene,
+            cubes: breaking.cubes.len() as u64,
+            exact: Some(exact),
+            ..proto::MassProperties::default()
+        };
+        Ok(Response::new(proto::GetMassPropertiesResponse {
+            mass_properties: Some(properties),
+        }))
+    }
+
+    async fn stream_changes(
+        &self,
+        request: Request<Streaming<proto::StreamChangesRequest>>,
+    ) -> Result<Response<Self::StreamChangesStream>, Status> {
+        let mut inbound = request.into_inner();
+        let state = Arc::clone(&self.0);
+        let end = {
+            let mut state = state.lock().unwrap();
+            state.streams += 1;
+            state.ends.pop_front()
+        };
+        let answer = |message| Ok(proto::StreamChangesResponse { message: Some(message) });
+        Ok(Response::new(Box::pin(async_stream::stream! {
+            yield answer(response::Message::Opened(proto::Opened::default()));
+            while let Ok(Some(message)) = inbound.message().await {
+                let Some(request::Message::Change(sent)) = message.message else {
+                    continue;
+                };
+                if let Some(End::Busy) = end {
+                    let problem = proto::Problem {
+                        retry_after_seconds: Some(1),
+                        ..proto::Problem::default()
+                    };
+                    let refused = proto::Refused { tag: sent.tag, problem: Some(problem) };
+                    yield answer(response::Message::Refused(refused));
+                    yield Err(Status::unavailable("busy"));
+                    return;
+                }
+                let volume = {
+                    let mut state = state.lock().unwrap();
+                    state.apply(sent.idempotency_key.unwrap(), sent.change.unwrap());
+                    state.volume()
+                };
+                match end {
+                    Some(End::Well) => return,
+                    Some(End::Unavailable) => {
+                        yield Err(Status::unavailable("the disk failed"));
+                        return;
+                    }
+                    Some(End::Internal) => {
+                        yield Err(Status::internal("a fault of the server"));
+                        return;
+                    }
+                    Some(End::Busy) | None => {}
+                }
+                let volumes = Volumes {
+                    exact_union: volume,
+                    exact_area: "0".to_owned(),
+                    ..Volumes::default()
+                };
+                let outcome = Outcome { volumes: Some(volumes), ..Outcome::default() };
+                let acknowledged = Acknowledged { tag: sent.tag, outcome: Some(outcome) };
+                yield answer(response::Message::Acknowledged(acknowledged));
+            }
+        })))
+    }
+}
+
+/// Mills three lines into a server whose first streams end so.
+fn mill_while_it_breaks(ends: &[End]) -> (Output, Duration, Breaking) {
+    let state = Arc::new(Mutex::new(Breaking {
+        ends: ends.iter().copied().collect(),
+        ..Breaking::default()
+    }));
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    let listener = runtime
+        .block_on(tokio::net::TcpListener::bind("127.0.0.1:0"))
+        .unwrap();
+    let address = format!("grpc://{}", listener.local_addr().unwrap());
+    let served = UnionServiceServer::new(Served(Arc::clone(&state)));
+    runtime.spawn(
+        tonic::transport::Server::builder()
+            .add_service(served)
+            .serve_with_incoming(TcpIncoming::from(listener)),
+    );
+    let started = Instant::now();
+    let output = command(
+        &[
+            "mill", "-", "--json", "--edge", "2", "--grpc", &address, "--scene", "a",
+        ],
+        "G21 G1 X10 F600\nX20\nX30\n",
+    );
+    let elapsed = started.elapsed();
+    let state = std::mem::take(&mut *state.lock().unwrap());
+    (output, elapsed, state)
+}
+
+/// What was applied without an acknowledgement is sent again as it was, and a stream that breaks again and again not at once.
+#[test]
+fn a_stream_that_breaks_is_opened_again_in_peace() {
+    use End::{Busy, Unavailable, Well};
+    let ends = [Unavailable, Well, Busy, Well, Well, Well];
+    let (output, elapsed, state) = mill_while_it_breaks(&ends);
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{errors}");
+    assert_eq!(state.streams, ends.len() + 1);
+    assert_eq!((state.moves, state.cubes.len()), (vec![1, 2, 3], 301));
+    let milled: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(milled["cutting"]["lines"], 3);
+    assert_eq!(milled["mass_properties"]["exact"]["volume"], "301");
+    // 20 ms, and each time twice as long.
+    assert!(elapsed >= Duration::from_millis(1260), "{elapsed:?}");
+}
+
+#[test]
+fn a_fault_of_the_server_ends_the_stream() {
+    let (output, _, state) = mill_while_it_breaks(&[End::Internal; 100]);
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success());
+    assert!(errors.contains("a fault of the server"), "{errors}");
+    assert_eq!(state.streams, 1);
+}
+
+/// A server that is killed in the middle of a program and comes back makes no difference.
+#[test]
+fn a_server_killed_in_the_middle_is_waited_for() {
+    let directory = tempfile::tempdir().unwrap();
+    let data = directory.path().join("data");
+    let server = Server::start(&data);
+    let address = server.grpc.clone();
+    let lines = |from: usize, to: usize| -> String {
+        (from..to)
+            .map(|line| format!("G1 X{} Y{}\n", line % 7, line % 5))
+            .collect()
+    };
+    let begin = format!("G21 F600\n{}", lines(0, 2000));
+    let end = lines(2000, 4000);
+    let (here, _) = mill(&["--edge", "3", "--step", "1"], &format!("{begin}{end}"));
+    let mut child = Command::new(env!("CARGO_BIN_EXE_union3d"))
+        .args(["mill", "-", "--json", "--edge", "3", "--step", "1"])
+        .args(["--grpc", &address, "--scene", "a"])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the binary runs");
+    let mut program = child.stdin.take().expect("piped");
+    program.write_all(begin.as_bytes()).unwrap();
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    let url = format!("{}/v1/scenes/a", server.url);
+    loop {
+        let text = runtime.block_on(async { reqwest::get(&url).await?.text().await });
+        let scene: Value = serde_json::from_str(&text.unwrap()).unwrap();
+        if scene["seq"].as_u64() > Some(100) {
+            break;
+        }
+        assert!(child.try_wait().unwrap().is_none(), "mill ended");
+    }
+    drop(server);
+    let server = Server::start_at(&data, address.trim_start_matches("grpc://"));
+    assert_eq!(server.grpc, address);
+    program.write_all(end.as_bytes()).unwrap();
+    drop(program);
+    let output = child.wait_with_output().unwrap();
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{errors}");
+    let there: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(there["cutting"], here["cutting"]);
+    assert_eq!(
+        there["mass_properties"]["exact"],
+        here["mass_properties"]["exact"]
+    );
+    assert_eq!(there["mass_properties"]["cubes"], here["cubes"]);
 }
