@@ -1,10 +1,12 @@
 //! `union3d mill`: from a program to the mass properties of what the cutter covers, here and on a server.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
+use std::pin::Pin;
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
 
 use axum::body::Bytes;
 use axum::extract::{Path as UrlPath, State};
@@ -14,7 +16,14 @@ use axum::routing::{get, post};
 use axum::{Json, Router};
 use prost::Message;
 use serde_json::{Value, json};
-use union3d::wire::proto::Change;
+use tokio_stream::Stream;
+use tonic::transport::server::TcpIncoming;
+use tonic::{Request, Response, Status, Streaming};
+use union3d::wire::proto::union_service_server::{UnionService, UnionServiceServer};
+use union3d::wire::proto::{
+    self, Acknowledged, Change, Outcome, Volumes, stream_changes_request as request,
+    stream_changes_response as response,
+};
 
 fn command(arguments: &[&str], input: &str) -> Output {
     let mut child = Command::new(env!("CARGO_BIN_EXE_union3d"))
@@ -86,13 +95,125 @@ fn rapids_cut_only_when_asked_to() {
     let (milled, _) = mill(&["--edge", "2"], program);
     assert_eq!(
         (&milled["moves"], &milled["mass_properties"]["volume"]),
-        (&json!(2), &json!(24.0))
+        (&json!(3), &json!(24.0))
     );
     let (milled, _) = mill(&["--edge", "2", "--rapid"], program);
     assert_eq!(
         (&milled["moves"], &milled["mass_properties"]["volume"]),
         (&json!(3), &json!(56.0))
     );
+}
+
+/// Machine time is that of every line that takes some, whatever it cuts.
+#[test]
+fn rapids_and_dwells_take_their_time() {
+    let rapid = "G21 G1 X1\nG0 X11\nG1 X12\n";
+    let seconds =
+        |arguments: &[&str]| mill(arguments, rapid).0["cutting"]["machine_seconds"].take();
+    assert_eq!(seconds(&["--edge", "2"]), 0.12);
+    assert_eq!(seconds(&["--edge", "2", "--rapid-rate", "600"]), 1.0);
+    assert_eq!(
+        seconds(&["--edge", "2", "--rapid-rate", "600", "--rapid"]),
+        1.0
+    );
+
+    let directory = tempfile::tempdir().unwrap();
+    let csv = directory.path().join("lines.csv");
+    let dwells = "G21 G1 X10 F600\nG4 P1.5\nG4 P0.5 G1 X20\n";
+    let (milled, _) = mill(&["--edge", "2", "--csv", csv.to_str().unwrap()], dwells);
+    let cutting = &milled["cutting"];
+    assert_eq!(
+        (&milled["moves"], &cutting["lines"]),
+        (&json!(2), &json!(3))
+    );
+    assert_eq!(cutting["machine_seconds"], 4.0);
+    assert_eq!(cutting["air_cuts"]["count"], 0);
+    // Of the lines that cut: 88 mm^3 in 1 s and 1.5 s.
+    assert_eq!(cutting["removal_rate"]["mean"], 88.0 / 2.5);
+    let rows = std::fs::read_to_string(&csv).unwrap();
+    let rows: Vec<_> = rows
+        .lines()
+        .map(|row| row.split(',').take(4).collect::<Vec<_>>().join(","))
+        .collect();
+    assert_eq!(
+        rows[1..],
+        ["1,feed,101,1.0", "2,dwell,0,1.5", "3,feed,100,1.5"]
+    );
+
+    // A server hears of them, too.
+    let state = Shared::default();
+    let (_runtime, url) = difficult(&state);
+    let program = "G21 G0 X50\nG4 P2\nG1 X60 F600\n";
+    mill(
+        &["--edge", "2", "--server", &url, "--scene", "my-pocket"],
+        program,
+    );
+    let state = state.lock().unwrap();
+    assert_eq!(
+        state.moves,
+        [
+            (Some(1), Some(0.6)),
+            (Some(2), Some(2.0)),
+            (Some(3), Some(1.0))
+        ]
+    );
+    assert_eq!(state.sizes[..2], [0, 0]);
+    check_refused(
+        &["-", "--edge", "2"],
+        "G21 G1 X10 F0.00000001\n",
+        &["line 1", "seconds from 0 to 1e9"],
+    );
+}
+
+/// The parts of a long line removed material all the time, not the first of them in all the time and the others in none.
+#[test]
+fn parts_of_a_long_line_share_its_time() {
+    let state = Shared::default();
+    let (_runtime, url) = difficult(&state);
+    let arguments = [
+        "--edge",
+        "2",
+        "--step",
+        "0.001",
+        "--server",
+        &url,
+        "--scene",
+        "my-pocket",
+    ];
+    let (milled, _) = mill(&arguments, "G21 G1 X150 F1400\n");
+    let state = state.lock().unwrap();
+    assert_eq!(state.sizes, [65_536, 65_536, 150_001 - 2 * 65_536]);
+    let nanoseconds: Vec<u64> = state
+        .moves
+        .iter()
+        .map(|(line, duration)| {
+            assert_eq!(*line, Some(1));
+            (duration.unwrap() * 1e9).round() as u64
+        })
+        .collect();
+    let whole = (150.0 / 1400.0 * 60.0 * 1e9_f64).round() as u64;
+    assert_eq!(nanoseconds.iter().sum::<u64>(), whole);
+    for (cubes, nanoseconds) in state.sizes.iter().zip(nanoseconds) {
+        let share = whole as f64 * *cubes as f64 / 150_001.0;
+        assert!((nanoseconds as f64 - share).abs() <= 1.0, "{nanoseconds}");
+    }
+    assert_eq!(milled["cutting"]["lines"], 1);
+    assert_eq!(milled["cutting"]["machine_seconds"], whole as f64 / 1e9);
+}
+
+#[test]
+fn what_is_removed_is_added_up_exactly() {
+    // Ten tenths: as doubles one by one they do not make 2.
+    let program = format!("G21 G91 F60 G1 X0\n{}", "G1 X0.1\n".repeat(10));
+    let (milled, _) = mill(&["--edge", "1"], &program);
+    let cutting = &milled["cutting"];
+    assert_eq!(cutting["volume_removed"], 2.0);
+    assert_eq!(cutting["machine_seconds"], 1.0);
+    assert_eq!(cutting["removal_rate"]["mean"], 1.0);
+    // The same of rapids.
+    let program = format!("G21 F60 G1 Z-1\nG91\n{}", "G0 X0.1\n".repeat(10));
+    let (milled, _) = mill(&["--edge", "1", "--stock", "-9,-9,-9:9,9,9"], &program);
+    assert_eq!(milled["cutting"]["rapid_cuts"]["volume"], 1.0);
 }
 
 #[test]
@@ -441,13 +562,18 @@ struct Server {
 
 impl Server {
     fn start(data: &Path) -> Self {
+        Self::start_at(data, "127.0.0.1:0")
+    }
+
+    /// With gRPC at an address.
+    fn start_at(data: &Path, grpc: &str) -> Self {
         let mut child = Command::new(env!("CARGO_BIN_EXE_union3d"))
             .args([
                 "serve",
                 "--http",
                 "127.0.0.1:0",
                 "--grpc",
-                "127.0.0.1:0",
+                grpc,
                 "--log-filter",
                 "error",
                 "--data",
@@ -612,7 +738,7 @@ fn a_rapid_that_cuts_can_fail_the_run() {
     let failed = command(&arguments, SLOT);
     assert_eq!(failed.status.code(), Some(3));
     let report = String::from_utf8(failed.stdout).unwrap();
-    assert!(report.contains("1 line: 7 (40 mm^3)"), "{report}");
+    assert!(report.contains("1 line: 7 (40 mm^3)\n"), "{report}");
     assert!(report.contains("on line 5"), "{report}");
     let well = command(&arguments, &SLOT.replace("G0 X20", "G0 Z9"));
     assert_eq!(well.status.code(), Some(0));
@@ -636,6 +762,22 @@ fn a_rapid_that_cuts_can_fail_the_run() {
         "G1 X1\n",
         &["--server or --grpc"],
     );
+}
+
+#[test]
+fn each_rapid_that_cuts_has_its_volume() {
+    let program = format!("{SLOT}G0 Y3\n{}", "G1 X19\nG1 X20\n".repeat(75));
+    let output = command(&[&["mill", "-"], &SLOT_ARGUMENTS[..]].concat(), &program);
+    let report = String::from_utf8(output.stdout).unwrap();
+    let words = "2 lines: 7 (40 mm^3), 8 (12 mm^3); 52 mm^3 in all\n";
+    assert!(report.contains(words), "{report}");
+    // People see the first lines that cut air, programs all of them.
+    let words = "150 lines: 6, 10, 11, 12, 13, 14, 15, 16, 17, 18, ...\n";
+    assert!(report.contains(words), "{report}");
+    let (milled, _) = mill(&SLOT_ARGUMENTS, &program);
+    let air = &milled["cutting"]["air_cuts"];
+    assert_eq!(air["count"], 150);
+    assert_eq!(air["lines"].as_array().unwrap().len(), 150);
 }
 
 /// Over HTTP, over gRPC and in the process itself a program removes the same, line by line.
@@ -688,4 +830,274 @@ fn every_way_to_a_scene_removes_the_same() {
     let told = history("http");
     assert!(told.len() > 50, "{}", told.len());
     assert_eq!(told, history("grpc"));
+}
+
+/// How a stream of [`Breaking`] ends once it has taken a change, which it does not acknowledge.
+#[derive(Clone, Copy)]
+enum End {
+    Well,
+    Unavailable,
+    Internal,
+    /// The change is refused for now, nothing of it applied.
+    Busy,
+}
+
+/// A server over gRPC whose first streams end early.
+#[derive(Default)]
+struct Breaking {
+    ends: VecDeque<End>,
+    streams: usize,
+    /// By key, as the server keeps them.
+    applied: BTreeMap<String, Change>,
+    moves: Vec<u64>,
+    cubes: BTreeMap<u64, [i32; 3]>,
+}
+
+impl Breaking {
+    /// Applies a change unless it came before; then it must be the same. The volume is a step cubed for each cube.
+    fn apply(&mut self, key: String, change: Change) {
+        if let Some(before) = self.applied.get(&key) {
+            assert_eq!(*before, change, "{key} came with another change");
+            return;
+        }
+        self.moves.push(change.r#move.unwrap());
+        for (index, id) in change.insert_id.iter().enumerate() {
+            let at = [change.x[index], change.y[index], change.z[index]];
+            assert_eq!(self.cubes.insert(*id, at), None, "id {id} came twice");
+        }
+        self.applied.insert(key, change);
+    }
+
+    fn volume(&self) -> String {
+        self.cubes.len().to_string()
+    }
+}
+
+struct Served(Arc<Mutex<Breaking>>);
+
+type Streamed<T> = Pin<Box<dyn Stream<Item = Result<T, Status>> + Send>>;
+
+/// The calls that `mill` does not make, and those that are served.
+macro_rules! serve {
+    ({$($name:ident($request:ident) -> $answer:ty;)*} $($served:tt)*) => {
+        #[tonic::async_trait]
+        impl UnionService for Served {
+            type StreamChangesStream = Streamed<proto::StreamChangesResponse>;
+            type WatchMassPropertiesStream = Streamed<proto::WatchMassPropertiesResponse>;
+            type GetHistoryStream = Streamed<proto::GetHistoryResponse>;
+            type ListCubesStream = Streamed<proto::ListCubesResponse>;
+            $($served)*
+            $(async fn $name(&self, _: Request<proto::$request>) -> Result<Response<$answer>, Status> {
+                Err(Status::unimplemented(stringify!($name)))
+            })*
+        }
+    };
+}
+
+serve! {
+    {
+        get_scene(GetSceneRequest) -> proto::GetSceneResponse;
+        list_scenes(ListScenesRequest) -> proto::ListScenesResponse;
+        delete_scene(DeleteSceneRequest) -> proto::DeleteSceneResponse;
+        apply_change(ApplyChangeRequest) -> proto::ApplyChangeResponse;
+        revert_scene(RevertSceneRequest) -> proto::RevertSceneResponse;
+        watch_mass_properties(WatchMassPropertiesRequest) -> Self::WatchMassPropertiesStream;
+        get_history(GetHistoryRequest) -> Self::GetHistoryStream;
+        list_cubes(ListCubesRequest) -> Self::ListCubesStream;
+        get_cube(GetCubeRequest) -> proto::GetCubeResponse;
+        contains(ContainsRequest) -> proto::ContainsResponse;
+        audit_scene(AuditSceneRequest) -> proto::AuditSceneResponse;
+    }
+
+    async fn create_scene(
+        &self,
+        _: Request<proto::CreateSceneRequest>,
+    ) -> Result<Response<proto::CreateSceneResponse>, Status> {
+        Ok(Response::new(proto::CreateSceneResponse::default()))
+    }
+
+    async fn get_mass_properties(
+        &self,
+        request: Request<proto::GetMassPropertiesRequest>,
+    ) -> Result<Response<proto::GetMassPropertiesResponse>, Status> {
+        let breaking = self.0.lock().unwrap();
+        let exact = proto::ExactMeasures {
+            volume: breaking.volume(),
+            area: "0".to_owned(),
+            ..proto::ExactMeasures::default()
+        };
+        let properties = proto::MassProperties {
+            scene: request.into_inner().scene,
+            cubes: breaking.cubes.len() as u64,
+            exact: Some(exact),
+            ..proto::MassProperties::default()
+        };
+        Ok(Response::new(proto::GetMassPropertiesResponse {
+            mass_properties: Some(properties),
+        }))
+    }
+
+    async fn stream_changes(
+        &self,
+        request: Request<Streaming<proto::StreamChangesRequest>>,
+    ) -> Result<Response<Self::StreamChangesStream>, Status> {
+        let mut inbound = request.into_inner();
+        let state = Arc::clone(&self.0);
+        let end = {
+            let mut state = state.lock().unwrap();
+            state.streams += 1;
+            state.ends.pop_front()
+        };
+        let answer = |message| Ok(proto::StreamChangesResponse { message: Some(message) });
+        Ok(Response::new(Box::pin(async_stream::stream! {
+            yield answer(response::Message::Opened(proto::Opened::default()));
+            while let Ok(Some(message)) = inbound.message().await {
+                let Some(request::Message::Change(sent)) = message.message else {
+                    continue;
+                };
+                if let Some(End::Busy) = end {
+                    let problem = proto::Problem {
+                        retry_after_seconds: Some(1),
+                        ..proto::Problem::default()
+                    };
+                    let refused = proto::Refused { tag: sent.tag, problem: Some(problem) };
+                    yield answer(response::Message::Refused(refused));
+                    yield Err(Status::unavailable("busy"));
+                    return;
+                }
+                let volume = {
+                    let mut state = state.lock().unwrap();
+                    state.apply(sent.idempotency_key.unwrap(), sent.change.unwrap());
+                    state.volume()
+                };
+                match end {
+                    Some(End::Well) => return,
+                    Some(End::Unavailable) => {
+                        yield Err(Status::unavailable("the disk failed"));
+                        return;
+                    }
+                    Some(End::Internal) => {
+                        yield Err(Status::internal("a fault of the server"));
+                        return;
+                    }
+                    Some(End::Busy) | None => {}
+                }
+                let volumes = Volumes {
+                    exact_union: volume,
+                    exact_area: "0".to_owned(),
+                    ..Volumes::default()
+                };
+                let outcome = Outcome { volumes: Some(volumes), ..Outcome::default() };
+                let acknowledged = Acknowledged { tag: sent.tag, outcome: Some(outcome) };
+                yield answer(response::Message::Acknowledged(acknowledged));
+            }
+        })))
+    }
+}
+
+/// Mills three lines into a server whose first streams end so.
+fn mill_while_it_breaks(ends: &[End]) -> (Output, Duration, Breaking) {
+    let state = Arc::new(Mutex::new(Breaking {
+        ends: ends.iter().copied().collect(),
+        ..Breaking::default()
+    }));
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    let listener = runtime
+        .block_on(tokio::net::TcpListener::bind("127.0.0.1:0"))
+        .unwrap();
+    let address = format!("grpc://{}", listener.local_addr().unwrap());
+    let served = UnionServiceServer::new(Served(Arc::clone(&state)));
+    runtime.spawn(
+        tonic::transport::Server::builder()
+            .add_service(served)
+            .serve_with_incoming(TcpIncoming::from(listener)),
+    );
+    let started = Instant::now();
+    let output = command(
+        &[
+            "mill", "-", "--json", "--edge", "2", "--grpc", &address, "--scene", "a",
+        ],
+        "G21 G1 X10 F600\nX20\nX30\n",
+    );
+    let elapsed = started.elapsed();
+    let state = std::mem::take(&mut *state.lock().unwrap());
+    (output, elapsed, state)
+}
+
+/// What was applied without an acknowledgement is sent again as it was, and a stream that breaks again and again not at once.
+#[test]
+fn a_stream_that_breaks_is_opened_again_in_peace() {
+    use End::{Busy, Unavailable, Well};
+    let ends = [Unavailable, Well, Busy, Well, Well, Well];
+    let (output, elapsed, state) = mill_while_it_breaks(&ends);
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{errors}");
+    assert_eq!(state.streams, ends.len() + 1);
+    assert_eq!((state.moves, state.cubes.len()), (vec![1, 2, 3], 301));
+    let milled: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(milled["cutting"]["lines"], 3);
+    assert_eq!(milled["mass_properties"]["exact"]["volume"], "301");
+    // 20 ms, and each time twice as long.
+    assert!(elapsed >= Duration::from_millis(1260), "{elapsed:?}");
+}
+
+#[test]
+fn a_fault_of_the_server_ends_the_stream() {
+    let (output, _, state) = mill_while_it_breaks(&[End::Internal; 100]);
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success());
+    assert!(errors.contains("a fault of the server"), "{errors}");
+    assert_eq!(state.streams, 1);
+}
+
+/// A server that is killed in the middle of a program and comes back makes no difference.
+#[test]
+fn a_server_killed_in_the_middle_is_waited_for() {
+    let directory = tempfile::tempdir().unwrap();
+    let data = directory.path().join("data");
+    let server = Server::start(&data);
+    let address = server.grpc.clone();
+    let lines = |from: usize, to: usize| -> String {
+        (from..to)
+            .map(|line| format!("G1 X{} Y{}\n", line % 7, line % 5))
+            .collect()
+    };
+    let begin = format!("G21 F600\n{}", lines(0, 2000));
+    let end = lines(2000, 4000);
+    let (here, _) = mill(&["--edge", "3", "--step", "1"], &format!("{begin}{end}"));
+    let mut child = Command::new(env!("CARGO_BIN_EXE_union3d"))
+        .args(["mill", "-", "--json", "--edge", "3", "--step", "1"])
+        .args(["--grpc", &address, "--scene", "a"])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the binary runs");
+    let mut program = child.stdin.take().expect("piped");
+    program.write_all(begin.as_bytes()).unwrap();
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    let url = format!("{}/v1/scenes/a", server.url);
+    loop {
+        let text = runtime.block_on(async { reqwest::get(&url).await?.text().await });
+        let scene: Value = serde_json::from_str(&text.unwrap()).unwrap();
+        if scene["seq"].as_u64() > Some(100) {
+            break;
+        }
+        assert!(child.try_wait().unwrap().is_none(), "mill ended");
+    }
+    drop(server);
+    let server = Server::start_at(&data, address.trim_start_matches("grpc://"));
+    assert_eq!(server.grpc, address);
+    program.write_all(end.as_bytes()).unwrap();
+    drop(program);
+    let output = child.wait_with_output().unwrap();
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{errors}");
+    let there: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(there["cutting"], here["cutting"]);
+    assert_eq!(
+        there["mass_properties"]["exact"],
+        here["mass_properties"]["exact"]
+    );
+    assert_eq!(there["mass_properties"]["cubes"], here["cubes"]);
 }

@@ -12,6 +12,7 @@ import argparse
 import queue
 import sys
 import time
+import uuid
 
 import grpc
 
@@ -98,14 +99,16 @@ class Simulator:
         """Streams lines, and yields (number, outcome) for each once it is on stable storage.
 
         When the connection breaks it connects again and sends once more what was not acknowledged. A line that had been applied all
-        the same is known by its key: its recorded outcome is answered.
+        the same is known by its key: its recorded outcome is answered. Each run has keys of its own: were they those of the lines
+        alone, a second run, after going back say, would be answered with what is recorded of the first, and cut nothing.
         """
+        run = uuid.uuid4().hex
         lines = iter(lines)
         waiting = {}  # Lines without an acknowledgement, by number.
         broken_since = None
         while True:
             try:
-                for number, outcome in self._stream(lines, waiting):
+                for number, outcome in self._stream(run, lines, waiting):
                     broken_since = None
                     yield number, outcome
                 return
@@ -117,7 +120,7 @@ class Simulator:
                     raise
                 time.sleep(0.1)
 
-    def _stream(self, lines, waiting):
+    def _stream(self, run, lines, waiting):
         """One connection: first what is waiting still, then new lines, as far ahead as the window allows."""
         outbox = queue.SimpleQueue()
         opening = calls.StreamOpening(scene=self.scene, detail=messages.DETAIL_VOLUME)
@@ -132,7 +135,7 @@ class Simulator:
                 if line is None:
                     break
                 change = sweep(*line)
-                key = f"{self.scene}-line-{change.move}"
+                key = f"{run}-{change.move}"
                 one = calls.StreamedChange(
                     tag=change.move, change=change, idempotency_key=key
                 )

@@ -7,6 +7,8 @@ import subprocess
 import sys
 import tempfile
 
+import simulator
+
 HERE = pathlib.Path(__file__).parent
 LINE = re.compile(r"^ *(\d+) +(\d+) +([\d.-]+) +([\d.]+)$")
 
@@ -55,6 +57,25 @@ def mill(binary, kill_after):
             server.kill()
 
 
+def mill_again(binary):
+    """The totals of a run, and of two more after going back to the beginning: by the same simulator, and by another."""
+    with tempfile.TemporaryDirectory() as data:
+        server = Server(binary, data)
+        try:
+            first = simulator.Simulator(server.address, "again")
+            first.create()
+            totals = []
+            for one in (first, first, simulator.Simulator(server.address, "again")):
+                one.revert(0)
+                assert one.totals().removed.volume == 0
+                numbers = [number for number, _ in one.mill(simulator.program())]
+                assert numbers == list(range(1, 101)), numbers
+                totals.append(one.totals().removed)
+            return totals
+        finally:
+            server.kill()
+
+
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("binary")
@@ -73,6 +94,11 @@ def main():
     # Killed in the middle, the same lines removed the same.
     broken = mill(binary, 30)
     assert broken == printed, "a server that died in the middle made a difference"
+
+    # After going back the same program removes the same again.
+    first, *later = mill_again(binary)
+    assert abs(first.volume - 60 * 39 * 8) < 0.01, first
+    assert later == [first, first], "a second run does not remove what the first one did"
     print("\n".join(printed[-8:]))
 
 

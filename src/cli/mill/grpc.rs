@@ -1,6 +1,7 @@
 //! A program on its way over gRPC: a window of lines in flight, sent again when the connection breaks.
 
 use std::collections::VecDeque;
+use std::error::Error;
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
@@ -24,9 +25,12 @@ use union3d::wire::proto::{
 /// Lines sent ahead of their acknowledgements: as many as the server takes in.
 const LINES_IN_FLIGHT_MAX: usize = 256;
 
-/// How long a server that went away is tried again.
+/// How long a server that acknowledges nothing more is tried again.
 const PATIENCE: Duration = Duration::from_secs(30);
-const PAUSE: Duration = Duration::from_millis(200);
+
+/// The first and the longest pause before it is tried again.
+const PAUSE_MIN: Duration = Duration::from_millis(20);
+const PAUSE_MAX: Duration = Duration::from_secs(1);
 
 /// Why the server did not do what it was asked.
 #[derive(Debug, thiserror::Error)]
@@ -48,6 +52,28 @@ pub(crate) enum Failure {
     },
 }
 
+/// What is left of the patience with a server.
+///
+/// Only an acknowledgement restores it, not a stream that opens: else a change that breaks every stream would be sent for ever.
+#[derive(Debug, Default)]
+struct Patience {
+    /// When the connection broke for the first time since the last acknowledgement.
+    broken_since: Option<Instant>,
+    pause: Duration,
+}
+
+impl Patience {
+    /// How long to wait before the next attempt, each time longer; none when it has come to its end.
+    fn pause(&mut self, now: Instant) -> Option<Duration> {
+        let since = *self.broken_since.get_or_insert(now);
+        if now - since >= PATIENCE {
+            return None;
+        }
+        self.pause = (self.pause * 2).clamp(PAUSE_MIN, PAUSE_MAX);
+        Some(self.pause)
+    }
+}
+
 /// A line that has been sent and not been acknowledged.
 struct Sent {
     part: Part,
@@ -65,6 +91,7 @@ pub(crate) struct GrpcStream {
     next_id: u64,
     /// As of the newest acknowledgement.
     state: State,
+    patience: Patience,
     /// Names this run in the keys of its changes, so that those sent twice act once.
     run: Uuid,
     sent: u64,
@@ -151,6 +178,7 @@ impl GrpcStream {
             in_flight: VecDeque::new(),
             next_id: largest_id + 1,
             state,
+            patience: Patience::default(),
             run: Uuid::new_v4(),
             sent: 0,
         })
@@ -161,7 +189,7 @@ impl GrpcStream {
         self.sent += 1;
         let change = Change {
             r#move: Some(part.line),
-            duration: part.duration,
+            duration: part.seconds(),
             ..inserted(self.next_id, &part.places)
         };
         self.next_id += part.places.len() as u64;
@@ -212,8 +240,13 @@ impl GrpcStream {
     ) -> Result<Option<Cut>, Failure> {
         let message = match answer {
             Ok(Some(answer)) => answer.message,
-            Ok(None) => return self.connect_again().await.map(|()| None),
-            Err(status) if away(&status) => return self.connect_again().await.map(|()| None),
+            Ok(None) => {
+                let ended = Status::unavailable("the stream ended before all was acknowledged");
+                return self.connect_again(ended).await.map(|()| None);
+            }
+            Err(status) if away(&status) => {
+                return self.connect_again(status).await.map(|()| None);
+            }
             Err(status) => return Err(self.refused(status)),
         };
         match message {
@@ -224,29 +257,36 @@ impl GrpcStream {
                 let oldest = self.in_flight.pop_front();
                 let oldest = oldest.filter(|sent| sent.message.tag == acknowledged.tag);
                 let oldest = oldest.ok_or_else(|| self.without("the order of what was sent"))?;
+                self.patience = Patience::default();
                 let before = std::mem::replace(&mut self.state, after);
                 Ok(Some(oldest.part.cut(before, after)))
             }
             Some(response::Message::Refused(refused)) => {
                 let problem = refused.problem.unwrap_or_default();
+                if problem.retry_after_seconds.is_some() {
+                    let busy = Status::unavailable(problem.detail);
+                    return self.connect_again(busy).await.map(|()| None);
+                }
                 Err(self.refused(Status::failed_precondition(problem.detail)))
             }
             Some(response::Message::Opened(_)) | None => Ok(None),
         }
     }
 
-    /// Opens a stream anew, once the server is back, and sends again what was not acknowledged.
-    async fn connect_again(&mut self) -> Result<(), Failure> {
-        let started = Instant::now();
+    /// Opens a stream anew, once the server is back, and sends again what was not acknowledged: the same cubes with the same ids
+    /// and keys, so that what was applied all the same is not applied twice. `cause` is why.
+    async fn connect_again(&mut self, mut cause: Status) -> Result<(), Failure> {
         loop {
+            let Some(pause) = self.patience.pause(Instant::now()) else {
+                return Err(self.refused(cause));
+            };
+            tokio::time::sleep(pause).await;
             match stream(&mut self.client, &self.scene).await {
                 Ok((to, from)) => {
                     (self.to, self.from) = (to, from);
                     break;
                 }
-                Err(status) if away(&status) && started.elapsed() < PATIENCE => {
-                    tokio::time::sleep(PAUSE).await;
-                }
+                Err(status) if away(&status) => cause = status,
                 Err(status) => return Err(self.refused(status)),
             }
         }
@@ -300,10 +340,13 @@ async fn stream(
 
 /// Whether the server is away or not ready, rather than against it.
 fn away(status: &Status) -> bool {
-    matches!(
-        status.code(),
-        Code::Unavailable | Code::Unknown | Code::Cancelled | Code::Internal
-    )
+    match status.code() {
+        Code::Unavailable | Code::Unknown | Code::Cancelled => true,
+        // Said by the server it is final. With a source it was made here, of a connection that broke: so ends one that the server
+        // had announced to close.
+        Code::Internal => status.source().is_some(),
+        _ => false,
+    }
 }
 
 fn state_of_volumes(volumes: &Volumes) -> Option<State> {
@@ -421,7 +464,7 @@ fn exact(exact: &ExactMeasures) -> Value {
 }
 
 /// An error with all that caused it: the outermost alone says little.
-fn causes(error: &dyn std::error::Error) -> String {
+fn causes(error: &dyn Error) -> String {
     let mut text = error.to_string();
     let mut next = error.source();
     while let Some(cause) = next {
@@ -429,4 +472,27 @@ fn causes(error: &dyn std::error::Error) -> String {
         next = cause.source();
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn patience_ends_though_streams_open() {
+        let (mut patience, start) = (Patience::default(), Instant::now());
+        let (mut waited, mut attempts) = (Duration::ZERO, 0);
+        while let Some(pause) = patience.pause(start + waited) {
+            (waited, attempts) = (waited + pause, attempts + 1);
+        }
+        assert!(waited >= PATIENCE && waited < PATIENCE + PAUSE_MAX);
+        assert!(attempts < 40, "{attempts}");
+    }
+
+    #[test]
+    fn what_the_server_says_of_itself_is_final() {
+        assert!(away(&Status::unavailable("shutting down")));
+        assert!(!away(&Status::internal("a fault")));
+        assert!(!away(&Status::failed_precondition("no")));
+    }
 }

@@ -9,12 +9,12 @@ use std::fs::File;
 use std::io::{BufReader, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use indicatif::ProgressBar;
 use serde_json::{Value, value::RawValue};
 
-use self::tally::{Cutting, Tally};
+use self::tally::{Cutting, Kind, Tally};
 use self::target::{Part, Target};
 use super::client::{Client, SceneWanted};
 use super::cutter::{Cutter, STEPS_PER_EDGE, Unit};
@@ -22,19 +22,19 @@ use super::input::{self, Input};
 use super::{Outcome, progress, report};
 use union3d::geometry::Place;
 use union3d::toolpath::{Event, Motion, Move, Moves, Warning};
-use union3d::wire::convert::{Anchor, Settings, StockDocument, WantedSettings};
+use union3d::wire::convert::{self, Anchor, Settings, StockDocument, WantedSettings};
 
 /// Positions nearer to each other than this many lattice steps make no more places, only more work.
 const LATTICE_STEPS_MIN: f64 = 0.01;
-
-/// Cubes of one change: a longer line becomes several, all with its number.
-const PART_CUBES_MAX: usize = 65_536;
 
 /// Speed of rapids when --rapid-rate is not given. Units: mm a minute.
 const RAPID_RATE_MM: f64 = 5000.0;
 
 /// The exit status when rapids cut and --fail-on-rapid-cut is given.
 const RAPID_CUT: u8 = 3;
+
+/// Lines of one kind that the report for people names; --json has all.
+const LINES_MAX: usize = 10;
 
 /// Warnings of one kind that are printed; the rest are counted.
 const WARNINGS_MAX: u64 = 10;
@@ -46,7 +46,7 @@ const WARNINGS_MAX: u64 = 10;
 
 The cutter is an axis-aligned cube of the given edge, centred on the path. It is put down at least once every --step along \
 straight lines and arcs, at both ends of every move, rounded to the lattice (halves away from zero); a place it is in already \
-is not counted again. Feed moves cut; --rapid counts the rapids (G0) too. With a stock rapids are always swept, and those that \
+is not counted again. Feed moves cut; with --rapid the rapids (G0) cut, too. With a stock rapids are always swept, and those that \
 remove something are reported; only not before the first move in Z, because where the machine stands at the beginning is not known.
 
 Understood: G0 G1 G2 G3 (I J K or R, helices, full circles), G4, G17 G18 G19, G20 G21, G90 G91, G90.1 G91.1, G92, G93 G94, \
@@ -54,7 +54,8 @@ modal words, line numbers, comments, M0 M1 M2 M30. What else stands in the progr
 when the path is still the one that is written, refused (nothing is measured) when it would be wrong. The cutter starts at the origin.
 
 Each line of the program is one change, with the line's number as its `move` and its machine time as its `duration`: length by feed, \
-and rapids at --rapid-rate. The report says what was removed, how fast, which lines cut nothing, and which rapids hit material.
+rapids (also those that cut nothing) at --rapid-rate, dwells (G4) as long as they say. A line of more than 65,536 cubes becomes several \
+changes, which share its time as they share its cubes. The report says what was removed, how fast, which lines cut nothing, and which rapids hit material.
 
 Without --server or --grpc the cubes go into an engine in this process. With one of them they go into a scene of a running \
 `union3d serve`, which is made if it is not there; its mass properties are those of everything in it. --grpc streams: changes follow \
@@ -173,37 +174,32 @@ async fn mill(args: Args, settings: &Settings, (source, size): Input) -> Outcome
     let mut cutter = Cutter::new(settings, args.unit, step);
     let mut program = Moves::new(BufReader::new(source));
     let (mut moves, mut cubes) = (0, 0_u64);
-    let mut part: Option<Part> = None;
+    let mut open: Option<Part> = None;
     let mut approach = Approach {
         known: args.stock.is_none(),
     };
     while let Some(event) = program.next() {
-        let next = match event? {
-            Event::Move(next) => next,
-            Event::Dwell { .. } => continue,
+        let (line, kind, time, next) = match event? {
+            Event::Move(next) => {
+                moves += 1;
+                let seconds = seconds(&next, &args);
+                (next.line, kind(&next), seconds, Some(next))
+            }
+            Event::Dwell { line, seconds } => (line, Kind::Dwell, Some(seconds), None),
             Event::Warning(warning) => {
                 warnings.take(&warning, &bar);
                 continue;
             }
         };
-        let rapid = next.motion == Motion::Rapid;
-        if rapid && !args.rapid && args.stock.is_none() {
-            continue;
-        }
-        moves += 1;
-        if part
-            .as_ref()
-            .is_some_and(|part| (part.line, part.rapid) != (next.line, rapid))
-            && let Some(complete) = part.take()
-        {
-            settle(&mut tally, &args, target.send(complete).await?)?;
+        if let Some(complete) = open.take_if(|open| !open.takes(line, kind)) {
+            send(complete, &mut target, &mut tally, &args).await?;
             bar.set_position(program.bytes());
             bar.set_message(format!("{} cubes", report::figure(&cubes.into())));
         }
-        let mut open = part.take().unwrap_or_else(|| Part::new(next.line, rapid));
-        open.last(seconds(&next, &args));
-        let Some(swept) = approach.swept(&next) else {
-            part = Some(open);
+        let open = open.get_or_insert_with(|| Part::new(line, kind));
+        open.join(kind, time.map(|time| duration(line, time)).transpose()?);
+        let cuts = kind == Kind::Feed || args.rapid || args.stock.is_some();
+        let Some(swept) = next.filter(|_| cuts).and_then(|next| approach.swept(&next)) else {
             continue;
         };
         for place in cutter.places(&swept) {
@@ -214,15 +210,10 @@ async fn mill(args: Args, settings: &Settings, (source, size): Input) -> Outcome
             }
             open.places.push(place);
             cubes += 1;
-            if open.places.len() == PART_CUBES_MAX {
-                let full = std::mem::replace(&mut open, Part::new(next.line, rapid));
-                settle(&mut tally, &args, target.send(full).await?)?;
-            }
         }
-        part = Some(open);
     }
-    if let Some(complete) = part {
-        settle(&mut tally, &args, target.send(complete).await?)?;
+    if let Some(complete) = open {
+        send(complete, &mut target, &mut tally, &args).await?;
     }
     if let (Some(out), Some(path)) = (&mut out, &args.out) {
         out.flush().map_err(input::about(path))?;
@@ -271,6 +262,13 @@ impl Approach {
     }
 }
 
+fn kind(next: &Move) -> Kind {
+    match next.motion {
+        Motion::Rapid => Kind::Rapid,
+        Motion::Feed | Motion::Arc => Kind::Feed,
+    }
+}
+
 /// Machine time of a move; none when the program gives no feed.
 fn seconds(next: &Move, args: &Args) -> Option<f64> {
     let rate = if next.motion == Motion::Rapid {
@@ -281,6 +279,26 @@ fn seconds(next: &Move, args: &Args) -> Option<f64> {
     };
     rate.filter(|rate| *rate > 0.0)
         .map(|rate| next.length / rate * 60.0)
+}
+
+/// Machine time in whole nanoseconds, as a server keeps it.
+fn duration(line: u64, seconds: f64) -> Result<Duration, String> {
+    convert::duration_ns(seconds)
+        .map(Duration::from_nanos)
+        .map_err(|wrong| format!("line {line}: its machine time, {seconds:e} s, {wrong}"))
+}
+
+/// Sends a whole line.
+async fn send(
+    line: Part,
+    target: &mut Target,
+    tally: &mut Tally<'_>,
+    args: &Args,
+) -> Result<(), Box<dyn std::error::Error>> {
+    for change in line.changes() {
+        settle(tally, args, target.send(change).await?)?;
+    }
+    Ok(())
 }
 
 fn settle(
@@ -371,35 +389,38 @@ fn report_cutting(cutting: &Cutting, args: &Args) -> String {
             ),
         );
     }
-    let lines = |lines: &[u64], count: u64| {
-        let shown: Vec<String> = lines.iter().take(10).map(u64::to_string).collect();
-        let more = if count > shown.len() as u64 {
-            ", ..."
-        } else {
-            ""
-        };
-        let noun = if count == 1 { "line" } else { "lines" };
-        match count {
-            0 => "none".to_owned(),
-            _ => format!("{count} {noun}: {}{more}", shown.join(", ")),
-        }
-    };
-    row(
-        "air cuts",
-        lines(&cutting.air_cuts.lines, cutting.air_cuts.count),
-    );
+    let air: Vec<String> = cutting.air_cuts.lines.iter().map(u64::to_string).collect();
+    row("air cuts", listed(&air));
     if args.stock.is_some() {
         let rapids = &cutting.rapid_cuts;
-        let of: Vec<u64> = rapids.lines.iter().map(|cut| cut.line).collect();
-        let mut said = lines(&of, rapids.count);
-        if rapids.count > 0 {
-            use std::fmt::Write;
-            write!(said, " ({} {unit}^3)", number(rapids.volume))
-                .expect("a string takes everything");
+        let volume = |volume| format!("{} {unit}^3", number(volume));
+        let cuts: Vec<String> = rapids
+            .lines
+            .iter()
+            .map(|cut| format!("{} ({})", cut.line, volume(cut.volume)))
+            .collect();
+        let mut said = listed(&cuts);
+        if cuts.len() > 1 {
+            said = format!("{said}; {} in all", volume(rapids.volume));
         }
         row("rapids that cut", said);
     }
     text
+}
+
+/// How many lines, and the first of them.
+fn listed(lines: &[String]) -> String {
+    let shown = &lines[..lines.len().min(LINES_MAX)];
+    let more = if shown.len() < lines.len() {
+        ", ..."
+    } else {
+        ""
+    };
+    match lines.len() {
+        0 => "none".to_owned(),
+        1 => format!("1 line: {}", lines[0]),
+        count => format!("{count} lines: {}{more}", shown.join(", ")),
+    }
 }
 
 fn settings(args: &Args) -> Result<Settings, Box<dyn std::error::Error>> {

@@ -1,21 +1,29 @@
 //! What each line of a program did: volume, time, and what a machinist wants to hear of.
 
 use std::io::Write;
+use std::time::Duration;
 
 use serde::Serialize;
 
-/// Most lines of one kind that a report names; the rest are counted.
-const LINES_MAX: usize = 100;
+/// What the cutter does on a line.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Kind {
+    Feed,
+    Rapid,
+    /// It stays where it is.
+    Dwell,
+}
 
-/// One line of the program, or a part of it. Units: steps cubed, steps squared, seconds.
+/// One line of the program, or a part of it. Units: steps cubed, steps squared.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub(super) struct Cut {
     /// Line of the program.
     pub(super) line: u64,
-    /// Whether it is a rapid.
-    pub(super) rapid: bool,
+    /// What the cutter does on it.
+    pub(super) kind: Kind,
     /// Machine time; none when the program gives no feed.
-    pub(super) duration: Option<f64>,
+    pub(super) duration: Option<Duration>,
     /// Cubes it put down.
     pub(super) cubes: u64,
     /// Volume it removed.
@@ -33,15 +41,24 @@ pub(super) struct Tally<'file> {
     /// The line that is not complete yet.
     open: Option<Cut>,
     cutting: Cutting,
-    /// Volume that feed moves of known duration removed.
-    timed_removed: f64,
-    timed_seconds: f64,
+    sums: Sums,
+}
+
+/// What is added up in integers, and becomes user units once. Units: steps cubed.
+#[derive(Default)]
+struct Sums {
+    removed: i128,
+    removed_by_rapids: i128,
+    /// What feed moves of known duration removed.
+    removed_timed: i128,
+    timed: Duration,
+    machine_time: Duration,
 }
 
 /// What `mill --json` says under `cutting`. Units: user units, seconds.
 #[derive(Debug, Default, Serialize)]
 pub(super) struct Cutting {
-    /// Lines of the program that move the cutter.
+    /// Lines of the program that take machine time: moves and dwells.
     pub(super) lines: u64,
     /// Machine time of the moves whose time is known.
     pub(super) machine_seconds: f64,
@@ -85,7 +102,7 @@ pub(super) struct RapidCut {
 #[derive(Debug, Serialize)]
 struct Row {
     line: u64,
-    motion: &'static str,
+    motion: Kind,
     cubes: u64,
     duration: Option<f64>,
     volume_removed: f64,
@@ -102,15 +119,14 @@ impl<'file> Tally<'file> {
             csv: csv.map(csv::Writer::from_writer),
             open: None,
             cutting: Cutting::default(),
-            timed_removed: 0.0,
-            timed_seconds: 0.0,
+            sums: Sums::default(),
         }
     }
 
     /// Takes the next line, or the next part of the same.
     pub(super) fn take(&mut self, cut: Cut) -> csv::Result<()> {
         if let Some(open) = &mut self.open
-            && (open.line, open.rapid) == (cut.line, cut.rapid)
+            && (open.line, open.kind) == (cut.line, cut.kind)
         {
             open.cubes += cut.cubes;
             open.removed += cut.removed;
@@ -135,60 +151,59 @@ impl<'file> Tally<'file> {
         if let Some(csv) = &mut self.csv {
             csv.flush()?;
         }
-        if self.timed_seconds > 0.0 {
-            self.cutting.removal_rate.mean = Some(self.timed_removed / self.timed_seconds);
-        }
-        Ok(self.cutting)
+        let volume = |steps3| self.volume(steps3);
+        let (removed, by_rapids) = (
+            volume(self.sums.removed),
+            volume(self.sums.removed_by_rapids),
+        );
+        let timed = self.sums.timed.as_secs_f64();
+        let mean = (timed > 0.0).then(|| volume(self.sums.removed_timed) / timed);
+        let mut cutting = self.cutting;
+        cutting.machine_seconds = self.sums.machine_time.as_secs_f64();
+        cutting.volume_removed = removed;
+        cutting.rapid_cuts.volume = by_rapids;
+        cutting.removal_rate.mean = mean;
+        Ok(cutting)
     }
 
     fn close(&mut self, cut: &Cut) -> csv::Result<()> {
         let removed = self.volume(cut.removed);
-        let rate = cut
-            .duration
-            .filter(|seconds| *seconds > 0.0)
-            .map(|seconds| removed / seconds);
-        let cutting = &mut self.cutting;
+        let duration = cut.duration.unwrap_or_default();
+        let rate = (!duration.is_zero()).then(|| removed / duration.as_secs_f64());
+        let (cutting, sums) = (&mut self.cutting, &mut self.sums);
         cutting.lines += 1;
-        cutting.machine_seconds += cut.duration.unwrap_or(0.0);
-        cutting.volume_removed += removed;
-        if cut.rapid {
-            if cut.removed > 0 {
-                let RapidCuts {
-                    count,
-                    volume,
-                    lines,
-                } = &mut cutting.rapid_cuts;
-                *count += 1;
-                *volume += removed;
-                if lines.len() < LINES_MAX {
-                    lines.push(RapidCut {
-                        line: cut.line,
-                        volume: removed,
-                    });
+        sums.machine_time += duration;
+        sums.removed += cut.removed;
+        match cut.kind {
+            Kind::Rapid if cut.removed > 0 => {
+                cutting.rapid_cuts.count += 1;
+                sums.removed_by_rapids += cut.removed;
+                cutting.rapid_cuts.lines.push(RapidCut {
+                    line: cut.line,
+                    volume: removed,
+                });
+            }
+            Kind::Feed => {
+                if cut.removed == 0 {
+                    cutting.air_cuts.count += 1;
+                    cutting.air_cuts.lines.push(cut.line);
+                }
+                if let Some(rate) = rate {
+                    sums.removed_timed += cut.removed;
+                    sums.timed += duration;
+                    let most = &mut cutting.removal_rate;
+                    if most.peak.is_none_or(|peak| rate > peak) {
+                        (most.peak, most.peak_line) = (Some(rate), Some(cut.line));
+                    }
                 }
             }
-        } else {
-            if cut.removed == 0 {
-                let AirCuts { count, lines } = &mut cutting.air_cuts;
-                *count += 1;
-                if lines.len() < LINES_MAX {
-                    lines.push(cut.line);
-                }
-            }
-            let most = &mut cutting.removal_rate;
-            if let Some(rate) = rate {
-                self.timed_removed += removed;
-                self.timed_seconds += cut.duration.unwrap_or(0.0);
-                if most.peak.is_none_or(|peak| rate > peak) {
-                    (most.peak, most.peak_line) = (Some(rate), Some(cut.line));
-                }
-            }
+            Kind::Rapid | Kind::Dwell => {}
         }
         let row = Row {
             line: cut.line,
-            motion: if cut.rapid { "rapid" } else { "feed" },
+            motion: cut.kind,
             cubes: cut.cubes,
-            duration: cut.duration,
+            duration: cut.duration.map(|duration| duration.as_secs_f64()),
             volume_removed: removed,
             removal_rate: rate,
             total_removed: self.volume(cut.total_removed),

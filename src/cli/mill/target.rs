@@ -1,23 +1,28 @@
 //! Where the cubes of a program go: into an engine in this process, or to a server.
 
+use std::time::Duration;
+
 use serde_json::Value;
 use serde_json::value::RawValue;
 use uuid::Uuid;
 
 use super::super::client::{Client, SceneWanted};
 use super::grpc::GrpcStream;
-use super::tally::Cut;
+use super::tally::{Cut, Kind};
 use union3d::engine::Engine;
 use union3d::geometry::{CubeId, Effect, Place, Totals};
 use union3d::wire::convert::{self, Settings};
+
+/// Cubes of one change: a longer line becomes several, all with its number.
+const PART_CUBES_MAX: usize = 65_536;
 
 /// One line of the program on its way, or a part of it.
 #[derive(Debug)]
 pub(super) struct Part {
     pub(super) line: u64,
-    pub(super) rapid: bool,
-    /// Machine time, in seconds.
-    pub(super) duration: Option<f64>,
+    pub(super) kind: Kind,
+    /// Machine time; none when the program gives no feed.
+    pub(super) duration: Option<Duration>,
     pub(super) places: Vec<Place>,
 }
 
@@ -55,27 +60,65 @@ impl State {
 }
 
 impl Part {
-    pub(super) fn new(line: u64, rapid: bool) -> Self {
+    pub(super) fn new(line: u64, kind: Kind) -> Self {
         Self {
             line,
-            rapid,
+            kind,
             duration: None,
             places: Vec::new(),
         }
     }
 
-    /// Makes it last longer.
-    pub(super) fn last(&mut self, seconds: Option<f64>) {
-        if let Some(seconds) = seconds {
-            self.duration = Some(self.duration.unwrap_or(0.0) + seconds);
+    /// Whether what comes next belongs to it. A dwell belongs to the move that its line has, too.
+    pub(super) fn takes(&self, line: u64, kind: Kind) -> bool {
+        self.line == line && (self.kind == kind || [self.kind, kind].contains(&Kind::Dwell))
+    }
+
+    /// Makes what comes next part of it.
+    pub(super) fn join(&mut self, kind: Kind, time: Option<Duration>) {
+        if self.kind == Kind::Dwell {
+            self.kind = kind;
         }
+        if let Some(time) = time {
+            self.duration = Some(self.duration.unwrap_or_default() + time);
+        }
+    }
+
+    /// The changes that a line becomes once it is whole: before, how many cubes share its time is not known. Each has the share of
+    /// the machine time that it has of the cubes, in nanoseconds that add up to the whole.
+    pub(super) fn changes(self) -> Vec<Self> {
+        if self.places.len() <= PART_CUBES_MAX {
+            return vec![self];
+        }
+        let whole = self.places.len() as u128;
+        // Nanoseconds of the first so many cubes.
+        let due = |cubes: u128| Some(self.duration?.as_nanos() * cubes / whole);
+        let mut before = 0;
+        let changes = self.places.chunks(PART_CUBES_MAX).map(|places| {
+            let after = before + places.len() as u128;
+            let share = due(after).zip(due(before)).map(|(to, from)| to - from);
+            let duration = share.map(Duration::from_nanos_u128);
+            before = after;
+            Self {
+                line: self.line,
+                kind: self.kind,
+                duration,
+                places: places.to_vec(),
+            }
+        });
+        changes.collect()
+    }
+
+    /// Machine time in seconds, as a change has it.
+    pub(super) fn seconds(&self) -> Option<f64> {
+        self.duration.map(|duration| duration.as_secs_f64())
     }
 
     /// What it did, from the states before and after it.
     pub(super) fn cut(&self, before: State, after: State) -> Cut {
         Cut {
             line: self.line,
-            rapid: self.rapid,
+            kind: self.kind,
             duration: self.duration,
             cubes: self.places.len() as u64,
             removed: after.removed - before.removed,
@@ -161,8 +204,9 @@ impl Target {
             } => {
                 *changes += 1;
                 let key = format!("{}-{changes}", run.simple());
+                let seconds = part.seconds();
                 let answer = client
-                    .move_and_measure(*next_id, &part.places, part.line, part.duration, &key)
+                    .move_and_measure(*next_id, &part.places, part.line, seconds, &key)
                     .await?;
                 *next_id += part.places.len() as u64;
                 let after = state(&answer)?;
