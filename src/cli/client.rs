@@ -157,11 +157,12 @@ impl Client {
         first_id: u64,
         places: &[Place],
     ) -> Result<Value, Failure> {
-        self.change(&inserted(first_id, places), None).await
+        let mut answer = self.change(&inserted(first_id, places), None).await?;
+        Ok(answer["mass_properties"].take())
     }
 
     /// What a move of a machine does: its cubes with the ids from `first_id` on. `key` makes a second sending harmless even when
-    /// there are none.
+    /// there are none. The whole answer: what the change removed, and the mass properties after it.
     pub(crate) async fn move_and_measure(
         &self,
         first_id: u64,
@@ -189,7 +190,7 @@ impl Client {
             request = request.header("Idempotency-Key", key);
         }
         let text = self.ask(request).await?;
-        Ok(parse(&url, &text)?["mass_properties"].take())
+        parse(&url, &text)
     }
 
     /// The largest id in the scene, from the listing of all its cubes.

@@ -648,7 +648,7 @@ fn apply_ids(access: &impl Access, effect: &Effect) -> Result<(), Inconsistent> 
 fn in_steps(
     access: &impl Access,
     cubes: &[(CubeId, Place)],
-    task: fn(&mut Engine, &[(CubeId, Place)]) -> Result<(), usize>,
+    task: impl Fn(&mut Engine, &[(CubeId, Place)]) -> Result<(), usize>,
 ) -> Result<(), usize> {
     for (some, number) in cubes.chunks(CUBES_A_STEP).zip(0..) {
         let done = access.step(|engine| task(engine, some));

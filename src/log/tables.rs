@@ -434,7 +434,7 @@ impl<'a> Packed<'a> {
         crc
     }
 
-    /// The columns seq, back_to and back_crc of `operations` from `first` on: which seq a change went back to.
+    /// The columns `seq`, `back_to` and `back_crc` of `operations` from `first` on: which seq a change went back to.
     pub(super) fn back_to(
         row: &Row<'_>,
         first: usize,

@@ -338,10 +338,7 @@ impl Scene {
     ) -> Result<T, ServiceError> {
         let feed = self.feed()?;
         if let Some(view) = feed.set.try_view() {
-            return match view {
-                Some(view) => Ok(question(&view)),
-                None => Err(self.refusal()),
-            };
+            return Ok(question(&view));
         }
         let answer = blocking(move || feed.set.view().map(|view| question(&view))).await?;
         answer.ok_or_else(|| self.refusal())
@@ -513,7 +510,7 @@ impl Scene {
 impl Feed {
     pub(super) fn new(engine: Engine, published: &Published, history: HistoryReader) -> Self {
         Self {
-            set: CubeSet::new(engine, *published),
+            set: CubeSet::new(engine, published),
             newest: ArcSwap::from_pointee(*published),
             updates: watch::Sender::new(*published),
             history: Mutex::new(history),

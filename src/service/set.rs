@@ -45,10 +45,10 @@ struct Undo {
 pub(super) struct View<'a>(RwLockReadGuard<'a, State>);
 
 impl CubeSet {
-    pub(super) fn new(engine: Engine, durable: Published) -> Self {
+    pub(super) fn new(engine: Engine, durable: &Published) -> Self {
         Self(RwLock::new(State {
             engine,
-            durable,
+            durable: *durable,
             ahead: Vec::new(),
             undo: OnceLock::new(),
             is_whole: true,
@@ -60,9 +60,9 @@ impl CubeSet {
         View::of(self.0.read())
     }
 
-    /// The same when no step is being taken; the outer none when one is.
-    pub(super) fn try_view(&self) -> Option<Option<View<'_>>> {
-        self.0.try_read().map(View::of)
+    /// The same without waiting; none also while a step is being taken.
+    pub(super) fn try_view(&self) -> Option<View<'_>> {
+        self.0.try_read().and_then(View::of)
     }
 
     /// Applies an effect that was judged against the engine: the engine is ahead then.
@@ -315,7 +315,7 @@ mod tests {
                 at_ms: 0,
                 totals: Totals::default(),
             };
-            let set = CubeSet::new(Engine::new(edge), empty);
+            let set = CubeSet::new(Engine::new(edge), &empty);
             let mut durable: BTreeMap<CubeId, Place> = BTreeMap::new();
             for change in 0..30 {
                 let mut later = durable.clone();

@@ -89,8 +89,6 @@ pub(crate) struct GrpcStream {
     from: Streaming<StreamChangesResponse>,
     in_flight: VecDeque<Sent>,
     next_id: u64,
-    /// As of the newest acknowledgement.
-    state: State,
     patience: Patience,
     /// Names this run in the keys of its changes, so that those sent twice act once.
     run: Uuid,
@@ -163,11 +161,6 @@ impl GrpcStream {
                 largest_id = ids.fold(largest_id, u64::max);
             }
         }
-        let state = properties.as_ref().and_then(state_of_properties);
-        let state = state.ok_or(Failure::Answer {
-            server: server.to_owned(),
-            missing: "the exact volume",
-        })?;
         let (to, from) = stream(&mut client, &wanted.name).await.map_err(refused)?;
         Ok(Self {
             server: server.to_owned(),
@@ -177,7 +170,6 @@ impl GrpcStream {
             from,
             in_flight: VecDeque::new(),
             next_id: largest_id + 1,
-            state,
             patience: Patience::default(),
             run: Uuid::new_v4(),
             sent: 0,
@@ -258,8 +250,9 @@ impl GrpcStream {
                 let oldest = oldest.filter(|sent| sent.message.tag == acknowledged.tag);
                 let oldest = oldest.ok_or_else(|| self.without("the order of what was sent"))?;
                 self.patience = Patience::default();
-                let before = std::mem::replace(&mut self.state, after);
-                Ok(Some(oldest.part.cut(before, after)))
+                let removed = outcome.volume_removed_exact.parse();
+                let removed = removed.map_err(|_| self.without("what the change removed"))?;
+                Ok(Some(oldest.part.cut(removed, after)))
             }
             Some(response::Message::Refused(refused)) => {
                 let problem = refused.problem.unwrap_or_default();
@@ -354,18 +347,6 @@ fn state_of_volumes(volumes: &Volumes) -> Option<State> {
     Some(State {
         removed: removed.unwrap_or(&volumes.exact_union).parse().ok()?,
         area: volumes.exact_area.parse().ok()?,
-    })
-}
-
-fn state_of_properties(properties: &MassProperties) -> Option<State> {
-    let union = properties.exact.as_ref()?;
-    let removed = match &properties.removed {
-        Some(removed) => removed.exact.as_ref()?,
-        None => union,
-    };
-    Some(State {
-        removed: removed.volume.parse().ok()?,
-        area: union.area.parse().ok()?,
     })
 }
 

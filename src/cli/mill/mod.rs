@@ -474,7 +474,7 @@ async fn target(args: &Args, settings: &Settings) -> Result<Target, Box<dyn std:
     match (&args.server, &args.grpc) {
         (Some(server), _) => {
             let (client, largest_id) = Client::open(server, &wanted).await?;
-            Target::http(client, largest_id).await
+            Ok(Target::http(client, largest_id))
         }
         (None, Some(server)) => Target::grpc(server, &wanted).await,
         (None, None) if args.scene.is_some() => {

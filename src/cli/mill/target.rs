@@ -114,14 +114,14 @@ impl Part {
         self.duration.map(|duration| duration.as_secs_f64())
     }
 
-    /// What it did, from the states before and after it.
-    pub(super) fn cut(&self, before: State, after: State) -> Cut {
+    /// What it did: what it removed itself (others may change the scene too), and the state after it.
+    pub(super) fn cut(&self, removed: i128, after: State) -> Cut {
         Cut {
             line: self.line,
             kind: self.kind,
             duration: self.duration,
             cubes: self.places.len() as u64,
-            removed: after.removed - before.removed,
+            removed,
             total_removed: after.removed,
             area: after.area,
         }
@@ -137,7 +137,6 @@ pub(super) enum Target {
     Http {
         client: Client,
         next_id: u64,
-        state: State,
         /// Names this run in the keys of its changes.
         run: Uuid,
         changes: u64,
@@ -153,19 +152,13 @@ impl Target {
         }
     }
 
-    pub(super) async fn http(
-        client: Client,
-        largest_id: u64,
-    ) -> Result<Self, Box<dyn std::error::Error>> {
-        let properties = client.mass_properties().await?;
-        let state = state(&serde_json::from_str(properties.get())?)?;
-        Ok(Self::Http {
+    pub(super) fn http(client: Client, largest_id: u64) -> Self {
+        Self::Http {
             client,
             next_id: largest_id + 1,
-            state,
             run: Uuid::new_v4(),
             changes: 0,
-        })
+        }
     }
 
     pub(super) async fn grpc(
@@ -193,12 +186,11 @@ impl Target {
                 };
                 engine.apply(&effect)?;
                 let after = State::of(&engine.totals());
-                Ok(vec![part.cut(before, after)])
+                Ok(vec![part.cut(after.removed - before.removed, after)])
             }
             Self::Http {
                 client,
                 next_id,
-                state: last,
                 run,
                 changes,
             } => {
@@ -209,9 +201,10 @@ impl Target {
                     .move_and_measure(*next_id, &part.places, part.line, seconds, &key)
                     .await?;
                 *next_id += part.places.len() as u64;
-                let after = state(&answer)?;
-                let before = std::mem::replace(last, after);
-                Ok(vec![part.cut(before, after)])
+                let (removed, after) = read(&answer).ok_or(
+                    "cannot make sense of the server's answer (is it of the same version?)",
+                )?;
+                Ok(vec![part.cut(removed, after)])
             }
             Self::Grpc(stream) => Ok(stream.send(part).await?),
         }
@@ -237,8 +230,8 @@ impl Target {
     }
 }
 
-fn state(properties: &Value) -> Result<State, String> {
-    State::read(properties).ok_or_else(|| {
-        "cannot make sense of the server's mass properties (is it of the same version?)".to_owned()
-    })
+/// What a change removed and the state after it, from the API's answer to it; none when it is not that.
+fn read(answer: &Value) -> Option<(i128, State)> {
+    let removed = answer["volume_removed_exact"].as_str()?.parse().ok()?;
+    Some((removed, State::read(&answer["mass_properties"])?))
 }
