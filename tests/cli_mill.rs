@@ -440,7 +440,11 @@ async fn change(State(state): State<Shared>, headers: HeaderMap, body: Bytes) ->
     (
         StatusCode::OK,
         HeaderMap::new(),
-        Json(json!({"seq": state.changes, "mass_properties": properties("my-pocket", &state)})),
+        Json(json!({
+            "seq": state.changes,
+            "volume_removed_exact": change.insert_id.len().to_string(),
+            "mass_properties": properties("my-pocket", &state),
+        })),
     )
 }
 
@@ -965,9 +969,12 @@ serve! {
                     yield Err(Status::unavailable("busy"));
                     return;
                 }
+                let change = sent.change.unwrap();
+                // As recorded with the key, also when it is sent again.
+                let removed = change.insert_id.len().to_string();
                 let volume = {
                     let mut state = state.lock().unwrap();
-                    state.apply(sent.idempotency_key.unwrap(), sent.change.unwrap());
+                    state.apply(sent.idempotency_key.unwrap(), change);
                     state.volume()
                 };
                 match end {
@@ -987,7 +994,11 @@ serve! {
                     exact_area: "0".to_owned(),
                     ..Volumes::default()
                 };
-                let outcome = Outcome { volumes: Some(volumes), ..Outcome::default() };
+                let outcome = Outcome {
+                    volumes: Some(volumes),
+                    volume_removed_exact: removed,
+                    ..Outcome::default()
+                };
                 let acknowledged = Acknowledged { tag: sent.tag, outcome: Some(outcome) };
                 yield answer(response::Message::Acknowledged(acknowledged));
             }
