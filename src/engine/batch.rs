@@ -38,6 +38,9 @@ const SLICE_MIN: usize = 4096;
 const SLICE_MAX: usize = 1 << INDEX_BITS;
 const INDEX_BITS: u32 = 22;
 
+/// Visible cubes that are deleted at once where more are hidden.
+const CROWD_SLICE: usize = 128;
+
 /// Bits of an axis in the order of bins.
 const AXIS_BITS: u32 = 14;
 const _: () = assert!(3 * AXIS_BITS + INDEX_BITS <= u64::BITS);
@@ -166,7 +169,13 @@ pub(super) fn delete_batch(access: &impl Access, cubes: &[(CubeId, Place)]) {
                     visible.extend(shown.copied());
                 });
             }
-            delete_slice(access, &visible);
+            // In a crowd the first cubes promoted cover what the next deletions would lay bare: with many deletions at once
+            // each would look through all that is hidden around it.
+            let is_crowd = access.look(|engine| engine.hidden.len() > engine.visible.len());
+            let size = if is_crowd { CROWD_SLICE } else { SLICE_MAX };
+            for slice in visible.chunks(size) {
+                delete_slice(access, slice);
+            }
         }
         access.step(Engine::review_certificates);
     }
