@@ -600,12 +600,15 @@ fn check(scene: &str, events: &[Event], rows: &[Row], last: &BTreeSet<u64>) {
         greatest <= newest,
         "{scene}: seq {greatest} was answered and is lost"
     );
+    let known = known_before(events);
     // A change whose answer was lost may be there, whole, once.
-    let mut unanswered: Vec<&Event> = events
+    let unanswered: Vec<&Event> = events
         .iter()
         .filter(|event| event.answered.is_none() && event.asked.is_some())
         .collect();
-    // Who took which seq, by the moments of sending.
+    // For every seq that nobody was told, those that may have taken it.
+    let mut untold: Vec<Vec<usize>> = Vec::new();
+    // Who was told which seq.
     let mut took: HashMap<*const Event, u64> = HashMap::new();
     let mut model = Model::default();
     let mut totals = model.totals(&settings);
@@ -625,27 +628,34 @@ fn check(scene: &str, events: &[Event], rows: &[Row], last: &BTreeSet<u64>) {
                     && answered.is_none_or(|answered| answered == counts)
             };
             let changes = here.iter().filter(|event| event.asked.is_some());
-            let mut takers: Vec<&Event> = changes.filter(takes).copied().collect();
-            if takers.is_empty() {
-                // One whose answer was lost: the totals tell which.
-                let fits = |event: &&&Event| {
-                    takes(event) && {
-                        let mut after = model.clone();
-                        after.apply(event.asked.as_ref().unwrap());
-                        after.totals(&settings) == row.totals
+            let takers: Vec<&Event> = changes.filter(takes).copied().collect();
+            assert!(takers.len() <= 1, "{scene}: seq {seq} was given twice");
+            taker = takers.first().copied();
+            if let Some(taker) = taker {
+                model.apply(taker.asked.as_ref().unwrap());
+                took.insert(taker, seq);
+            } else {
+                // One whose answer was lost and that was sent before the seq
+                // was seen: the totals tell which. Several may have asked for
+                // the same.
+                let mut fitting = Vec::new();
+                let mut found = None;
+                for (number, event) in unanswered.iter().enumerate() {
+                    if !takes(&event) || known[&std::ptr::from_ref(*event)] >= seq {
+                        continue;
                     }
-                };
-                let found = unanswered.iter().find(fits).copied();
-                let found = found.unwrap_or_else(|| panic!("{scene}: nobody asked for seq {seq}"));
-                unanswered.retain(|event| !std::ptr::eq(*event, found));
-                takers.push(found);
+                    let mut after = model.clone();
+                    after.apply(event.asked.as_ref().unwrap());
+                    if after.totals(&settings) == row.totals {
+                        fitting.push(number);
+                        found = Some(after);
+                    }
+                }
+                model = found.unwrap_or_else(|| panic!("{scene}: nobody asked for seq {seq}"));
+                untold.push(fitting);
             }
-            assert_eq!(takers.len(), 1, "{scene}: seq {seq} was given twice");
-            model.apply(takers[0].asked.as_ref().unwrap());
             totals = model.totals(&settings);
             assert_eq!(totals, row.totals, "{scene}: the totals of seq {seq}");
-            took.insert(takers[0], seq);
-            taker = Some(takers[0]);
         }
         for event in here {
             let who = || format!("{scene}, seq {seq}, client {}: {event:?}", event.client);
@@ -668,11 +678,24 @@ fn check(scene: &str, events: &[Event], rows: &[Row], last: &BTreeSet<u64>) {
         }
     }
     assert_eq!(*last, model.0, "{scene}: the cubes at the end");
-    in_real_time(scene, events, &took);
+    assert!(
+        all_taken(&untold, unanswered.len()),
+        "{scene}: one change is there twice"
+    );
+    // What was answered before something else was sent comes before it.
+    for event in events {
+        let known = known[&std::ptr::from_ref(event)];
+        let in_order = match (took.get(&std::ptr::from_ref(event)), &event.answered) {
+            (Some(seq), _) => known < *seq,
+            (None, Some((_, answered))) => known <= answered.seq(),
+            (None, None) => true,
+        };
+        assert!(in_order, "{scene}: {known} was answered before {event:?}");
+    }
 }
 
-/// What was answered before something else was sent comes before it.
-fn in_real_time(scene: &str, events: &[Event], took: &HashMap<*const Event, u64>) {
+/// For every event the greatest seq answered before it was sent.
+fn known_before(events: &[Event]) -> HashMap<*const Event, u64> {
     let mut answered: Vec<(Instant, u64)> = events
         .iter()
         .filter_map(|event| {
@@ -685,23 +708,38 @@ fn in_real_time(scene: &str, events: &[Event], took: &HashMap<*const Event, u64>
     sent.sort_unstable_by_key(|event| event.sent);
     let mut before = answered.into_iter().peekable();
     let mut known = 0;
+    let mut all = HashMap::new();
     for event in sent {
         while let Some((_, seq)) = before.next_if(|(at, _)| *at < event.sent) {
             known = known.max(seq);
         }
-        if let Some(seq) = took.get(&std::ptr::from_ref(event)) {
-            assert!(
-                known < *seq,
-                "{scene}: {known} was answered before {event:?}"
-            );
-        } else if let Some((_, answered)) = &event.answered {
-            let seq = answered.seq();
-            assert!(
-                known <= seq,
-                "{scene}: {known} was answered before {event:?}"
-            );
-        }
+        all.insert(std::ptr::from_ref(event), known);
     }
+    all
+}
+
+/// Whether each of the seqs can have a change of its own, of those that fit it
+/// (a bipartite matching by augmenting paths).
+fn all_taken(seqs: &[Vec<usize>], changes: usize) -> bool {
+    fn take(
+        seqs: &[Vec<usize>],
+        seq: usize,
+        of: &mut [Option<usize>],
+        seen: &mut BTreeSet<usize>,
+    ) -> bool {
+        seqs[seq].iter().any(|&change| {
+            if !seen.insert(change) {
+                return false;
+            }
+            let free = of[change].is_none_or(|other| take(seqs, other, of, seen));
+            if free {
+                of[change] = Some(seq);
+            }
+            free
+        })
+    }
+    let mut of = vec![None; changes];
+    (0..seqs.len()).all(|seq| take(seqs, seq, &mut of, &mut BTreeSet::new()))
 }
 
 /// All rows of a scene's history, and its cubes at the end.
@@ -890,6 +928,18 @@ fn a_history_that_cannot_be_is_found_out() {
         story.0.truncate(2);
         story.2.remove(&3);
     }));
+    // Of two such that asked for the same, only one was sent before it was seen.
+    let late = || Event {
+        sent: at(60),
+        ..lost(&[2, 3])
+    };
+    assert!(possible(&|story| {
+        story.0[1].answered = None;
+        story.0.insert(0, late());
+    }));
+    assert!(!possible(&|story| {
+        story.0[1] = late();
+    }));
     // An acknowledged change is lost.
     assert!(!possible(&|story| {
         story.0.truncate(2);
@@ -913,4 +963,7 @@ fn a_history_that_cannot_be_is_found_out() {
         &[1, 2, 3]
     ))));
     assert!(!possible(&|story| story.0[0].sent = at(35)));
+    // A lost change is there once, whichever of its places it took.
+    assert!(all_taken(&[vec![0, 1], vec![0]], 2));
+    assert!(!all_taken(&[vec![0], vec![0]], 2));
 }
