@@ -241,8 +241,14 @@ fn reopen(path: &Path, keep: Keep) -> Result<(SceneLog, Cubes, Vec<String>), Log
     let mut cubes = Cubes::new();
     let mut seq = Seq(0);
     let mut told = vec![];
+    let mut begun = None;
     log.replay(&mut |thousandths| told.push(thousandths), &mut |replayed| {
         let expected = match replayed {
+            Replayed::SnapshotBegin { cubes: there } => {
+                assert_eq!((begun, cubes.len()), (None, 0));
+                begun = Some(there);
+                return true;
+            }
             Replayed::Cubes(chunk) => {
                 assert!(chunk.len() <= 65_536);
                 for &(id, place) in chunk {
@@ -257,6 +263,7 @@ fn reopen(path: &Path, keep: Keep) -> Result<(SceneLog, Cubes, Vec<String>), Log
                 at_ms,
             } => {
                 assert_eq!((seq, at_ms, next_id), (Seq(0), at.0 + 7, at.0 + 9));
+                assert_eq!(begun, Some(cubes.len() as u64));
                 seq = at;
                 *totals
             }

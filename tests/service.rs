@@ -7,8 +7,8 @@ use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use parking_lot::{Condvar, Mutex};
-use union3d::engine::{Counts, Op, Rejected, Side, recount};
-use union3d::geometry::{CubeId, Edge, Place, Stock, Totals};
+use union3d::engine::{Counts, Engine, Op, Rejected, Side, recount};
+use union3d::geometry::{CubeId, Edge, Effect, Place, Stock, Totals};
 use union3d::log::{Keep, Log, LogError, Replayed, SceneLog};
 use union3d::service::{
     Applied, Counting, FaultHook, FaultStep, Motion, Operations, Published, Readiness, Scene,
@@ -834,6 +834,69 @@ async fn a_damaged_scene_is_refused_and_can_be_dropped_while_others_serve() {
     assert_eq!(fresh.published().unwrap().seq, Seq(0));
 }
 
+/// Changes that only insert are replayed at once; one that led to other cubes than its totals say is named all the same.
+#[tokio::test]
+async fn the_first_change_whose_totals_differ_is_named() {
+    let directory = tempfile::tempdir().unwrap();
+    let service = start(directory.path());
+    let scene = create(&service, "s").await;
+    for id in 1..=5 {
+        scene.change(insert(id, 0)).await.unwrap();
+    }
+    service.shutdown().await;
+    drop((scene, service));
+    let keep = Keep {
+        history_changes_max: u64::MAX,
+        idempotency_keys_max: u64::MAX,
+        revert_changes_max: u64::MAX,
+        revert_bytes_max: u64::MAX,
+    };
+    let path = directory.path().join("data/scenes/s");
+    let (mut log, _) = SceneLog::open(&path, keep).unwrap();
+    let mut records = Vec::new();
+    log.replay(&mut |_| (), &mut |step| {
+        if let Replayed::Change(record) = step {
+            records.push(record.clone());
+        }
+        true
+    })
+    .unwrap();
+    // Two more of which the first is not what it says.
+    let mut engine = Engine::new(edge());
+    for record in &records {
+        engine.apply(&record.effect).unwrap();
+    }
+    let last = records.pop().unwrap();
+    let wrong: Vec<_> = [6, 7]
+        .map(|id| {
+            let at = |x| vec![(CubeId(id), place(x, 0, 40))];
+            let effect = |x| Effect {
+                deleted: vec![],
+                inserted: at(x),
+            };
+            engine.apply(&effect(i64::try_from(id).unwrap())).unwrap();
+            union3d::log::Record {
+                seq: Seq(id),
+                effect: effect(if id == 6 { 30 } else { 7 }),
+                totals: engine.totals(),
+                ..last.clone()
+            }
+        })
+        .into();
+    log.append(&wrong, &[]).unwrap();
+    drop(log);
+    let service = start(directory.path());
+    poll("readiness", || match service.readiness() {
+        Readiness::Ready { .. } => Some(()),
+        Readiness::Recovering { .. } => None,
+    });
+    let refused = service.scene("s").unwrap().published();
+    let Err(ServiceError::Damaged { cause }) = &refused else {
+        panic!("{refused:?}");
+    };
+    assert!(cause.contains("seq 6"), "{cause}");
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn of_those_who_create_or_drop_at_once_exactly_one_wins() {
     let directory = tempfile::tempdir().unwrap();
@@ -1123,7 +1186,7 @@ async fn a_long_log_is_cut_by_a_snapshot_while_changes_go_on() {
     let mut snapshot = None;
     log.replay(&mut |_| (), &mut |step| {
         match step {
-            Replayed::Cubes(_) => {}
+            Replayed::SnapshotBegin { .. } | Replayed::Cubes(_) => {}
             Replayed::SnapshotEnd { seq, totals, .. } => snapshot = Some((seq, *totals)),
             Replayed::Change(_) => changes += 1,
         }

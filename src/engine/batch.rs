@@ -51,8 +51,9 @@ const BINS_AT_ONCE: usize = 16;
 /// Cubes ahead for which memory is asked for.
 pub(super) const AHEAD: usize = 8;
 
-/// What one thread needs to evaluate cubes.
+/// What one thread needs to evaluate cubes; apart from that of another in memory, too.
 #[derive(Debug)]
+#[repr(align(128))]
 pub(super) struct Helper {
     kernel: Kernel,
     neighbours: Neighbours,
@@ -106,16 +107,11 @@ fn insert_slice(access: &impl Access, cubes: &[(CubeId, Place)]) {
     let mut helpers = access.step(|engine| engine.take_helpers(cubes.len()));
     let plans = access.look(|engine| engine.plan(&mut helpers, cubes));
     let mut touched = Vec::new();
+    let mut some = Vec::with_capacity(CUBES_A_STEP);
     for plan in &plans {
         for first in (0..plan.order.len()).step_by(CUBES_A_STEP) {
-            access.step(|engine| {
-                let visible = &mut engine.visible;
-                for at in plan.step(first) {
-                    plan.prefetch(at, cubes, visible);
-                    let (id, place) = cubes[index_of(plan.order[at])];
-                    touched.extend(visible.insert_fresh(place, id));
-                }
-            });
+            plan.take(first, cubes, &mut some);
+            access.step(|engine| engine.visible.insert_fresh(&some, &mut touched));
         }
     }
     let found = access.look(|engine| engine.evaluate(&mut helpers, &touched, cubes.len(), false));
@@ -273,6 +269,16 @@ impl Plan {
     /// The places in the order that a step from `first` on takes.
     fn step(&self, first: usize) -> Range<usize> {
         first..self.order.len().min(first + CUBES_A_STEP)
+    }
+
+    /// The cubes of the step from `first` on, in order. Asks for the memory of those of the next step.
+    fn take(&self, first: usize, cubes: &[(CubeId, Place)], some: &mut Vec<(CubeId, Place)>) {
+        let step = self.step(first);
+        for code in &self.order[self.step(step.end)] {
+            prefetch(cubes, index_of(*code));
+        }
+        some.clear();
+        some.extend(self.order[step].iter().map(|code| cubes[index_of(*code)]));
     }
 
     /// Asks for the memory that cubes some places later need.

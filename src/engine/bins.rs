@@ -173,6 +173,15 @@ impl Bin {
         }
     }
 
+    /// Asks for the memory in which the next cube is put.
+    #[inline]
+    pub(super) fn prefetch_end(&self) {
+        let capacity = self.capacity();
+        for column in 0..5 {
+            prefetch(&self.words, column * capacity + self.len());
+        }
+    }
+
     fn push(&mut self, corner: [i32; 3], id: CubeId) {
         let index = self.len();
         let capacity = self.capacity();
@@ -341,13 +350,22 @@ impl Bins {
         len
     }
 
-    /// The same for one that takes part in a batch; says how many such cubes are in it now.
-    pub(super) fn push_fresh(&mut self, key: BinKey, corner: [i32; 3], id: CubeId) -> usize {
-        self.push(key, corner, id);
-        let bin = self.get_mut(key).expect("it holds the cube");
-        let fresh = bin.fresh() + 1;
-        bin.set_fresh(fresh);
-        fresh
+    /// The same for some, at least one, that take part in a batch; says whether they are the first such there.
+    pub(super) fn push_fresh(
+        &mut self,
+        key: BinKey,
+        cubes: impl Iterator<Item = ([i32; 3], CubeId)>,
+    ) -> bool {
+        let bin = self.entry(key);
+        let (words, fresh) = (bin.words.len(), if bin.len == 0 { 0 } else { bin.fresh() });
+        let len = bin.len();
+        for (corner, id) in cubes {
+            bin.push(corner, id);
+        }
+        bin.set_fresh(fresh + bin.len() - len);
+        let words = bin.words.len() - words;
+        self.words += words;
+        fresh == 0
     }
 
     fn entry(&mut self, key: BinKey) -> &mut Bin {

@@ -309,14 +309,52 @@ impl Grid {
         }
     }
 
-    /// Inserts a cube of a batch; its bin when it is the first one there.
-    pub(super) fn insert_fresh(&mut self, place: Place, id: CubeId) -> Option<Leaf> {
-        let corner = place.corner();
-        let leaf = self.leaf_for(corner);
-        let fresh = self.levels[leaf.level].push_fresh(leaf.key, corner, id);
-        self.len += 1;
-        self.extents.insert(corner, self.len == 1);
-        (fresh == 1).then_some(leaf)
+    /// Inserts cubes of a batch, best those of one bin one after the other, and notes the bins in which they are the first.
+    pub(super) fn insert_fresh(&mut self, cubes: &[(CubeId, Place)], touched: &mut Vec<Leaf>) {
+        self.prefetch_all(cubes);
+        let mut cubes = cubes.iter().peekable();
+        while let Some((_, place)) = cubes.peek() {
+            let leaf = self.leaf_for(place.corner());
+            let shift = shift_of(self.shift, leaf.level);
+            // Each cube is counted in the divided bins above it.
+            let mut most = if leaf.level == 0 { usize::MAX } else { 1 };
+            let Self {
+                levels,
+                extents,
+                len,
+                ..
+            } = self;
+            let run = std::iter::from_fn(|| {
+                most = most.checked_sub(1)?;
+                let is_here =
+                    |place: &Place| place.corner().map(|part| part >> shift) == leaf.key.0;
+                let (id, place) = cubes.next_if(|(_, place)| is_here(place))?;
+                *len += 1;
+                extents.insert(place.corner(), *len == 1);
+                Some((place.corner(), *id))
+            });
+            if levels[leaf.level].push_fresh(leaf.key, run) {
+                touched.push(leaf);
+            }
+        }
+    }
+
+    /// Asks for the memory in which the bins of cubes are looked for, then for that of their next cubes: so the waiting for one
+    /// overlaps with that for the others.
+    fn prefetch_all(&self, cubes: &[(CubeId, Place)]) {
+        let bins = &self.levels[0];
+        let keys = cubes.iter().map(|(_, place)| self.key(0, place.corner()));
+        let runs = || {
+            let mut last = None;
+            keys.clone()
+                .filter(move |key| last.replace(*key) != Some(*key))
+        };
+        for key in runs() {
+            bins.prefetch(key.hash());
+        }
+        for bin in runs().filter_map(|key| bins.get(key)) {
+            bin.prefetch_end();
+        }
     }
 
     /// Moves a cube behind those of its bin that stay; the bin when it is the first one there.

@@ -326,4 +326,27 @@ mod tests {
             "{listed_time:?} in the order of the listing, {time:?} in another"
         );
     }
+
+    /// Chunks of a listing, each in the order of its ids, crowd a table that grows with them: all of it is one run, and each
+    /// moves half of it.
+    #[test]
+    fn a_table_with_room_for_them_does_not_grow() {
+        let ids: Vec<CubeId> = (0..200_000).map(CubeId).collect();
+        let (_, table) = filled(&ids);
+        let mut chunks: Vec<CubeId> = table.cubes_after(None).map(|(id, _)| id).collect();
+        for chunk in chunks.chunks_mut(1 << 16) {
+            chunk.sort_unstable_by_key(|id| id.0);
+        }
+        let mut again = IdTable::new();
+        again.reserve(chunks.len());
+        let size = again.size();
+        let capacities = again.parts.iter().map(|part| part.capacity);
+        let capacities: Vec<usize> = capacities.collect();
+        for id in chunks {
+            assert!(again.insert(id, Place::from_checked([1, 2, 3])));
+        }
+        assert!(again.cubes_after(None).eq(table.cubes_after(None)));
+        assert_eq!(again.size(), size);
+        assert!(again.parts.iter().map(|part| part.capacity).eq(capacities));
+    }
 }

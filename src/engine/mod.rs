@@ -283,6 +283,13 @@ impl Engine {
         self.ids.get(id)
     }
 
+    /// Makes room for so many more cubes by id: for those that come in the order of a listing, chunk by chunk, which would
+    /// crowd a table that grows.
+    pub fn reserve(&mut self, cubes: u64) {
+        let more = usize::try_from(cubes.min(CUBES_MAX));
+        self.ids.reserve(more.expect("it is at most 2^31"));
+    }
+
     /// Applies an effect, whole or not at all: deletions first. The only door through which state changes.
     /// O(cubes named), each in its neighbourhood.
     /// # Errors

@@ -124,9 +124,14 @@ pub struct Header {
     pub settings: String,
 }
 
-/// What a replay meets, in this order: chunks of the newest snapshot (if any), its end, then changes by seq.
+/// What a replay meets, in this order: the newest snapshot (if any), its chunks, its end, then changes by seq.
 #[derive(Debug)]
 pub enum Replayed<'a> {
+    /// There is a snapshot.
+    SnapshotBegin {
+        /// How many live cubes it has.
+        cubes: u64,
+    },
     /// Some live cubes of the snapshot.
     Cubes(&'a [(CubeId, Place)]),
     /// The snapshot is complete: the totals must be these.

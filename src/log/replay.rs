@@ -141,9 +141,13 @@ impl SceneLog {
         progress: &mut Progress<'_>,
         visit: &mut dyn FnMut(Replayed<'_>) -> bool,
     ) -> Result<(), LogError> {
+        let begin = Replayed::SnapshotBegin {
+            cubes: snapshot.cubes,
+        };
+        let fits = visit(begin);
         self.chunks(snapshot, &mut |cubes| {
             progress.advance(count(cubes.len()));
-            visit(Replayed::Cubes(cubes))
+            fits && visit(Replayed::Cubes(cubes))
         })?;
         let end = Replayed::SnapshotEnd {
             seq: snapshot.seq,

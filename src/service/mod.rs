@@ -8,7 +8,7 @@
 //!          │  inbox (bounded)                ▲ feed (totals that are durable)
 //!          ▼                                 │
 //!        writer ── one thread: judge, apply, append with one sync, publish, answer
-//!          └─ recover ── the way in: open the log, replay it, compare every total
+//!          └─ recover ── the way in: open the log, replay it, compare totals
 //! ```
 
 mod inbox;

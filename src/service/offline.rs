@@ -3,7 +3,7 @@
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
-use super::recover::{Halt, rebuild};
+use super::recover::{Compare, Halt, rebuild};
 use super::registry::lock_data;
 use super::{Audit, SceneName, StartError};
 use crate::engine::recount;
@@ -91,6 +91,7 @@ impl Offline {
         let rebuilt = rebuild(
             &mut log,
             directory,
+            Compare::Every,
             |permille| progress(500 + permille / 2),
             || false,
         )

@@ -130,6 +130,8 @@ pub(super) struct FastKernel {
     offsets: [Vec<i16>; 3],
     /// The clips of a leaf.
     clips: Vec<Box16>,
+    /// The sums of a cube that touches nothing, once there was one; for [`UNION`] and [`INSIDE`].
+    alone: [Vec<Sums<i128>>; ACROSS],
     /// Boxes that contain everything newly covered; kept only when asked for.
     pub(super) uncovered: Vec<Span>,
     collect: bool,
@@ -223,6 +225,7 @@ impl FastKernel {
             stock: four([0; 4]),
             offsets: Default::default(),
             clips: Vec::new(),
+            alone: Default::default(),
             uncovered: Vec::new(),
             collect: false,
         }
@@ -240,6 +243,16 @@ impl FastKernel {
         self.collect = collect;
         self.uncovered.clear();
         let cube = Span::cube([0; 3], self.edge);
+        let parts = if MODE == UNION { 1 } else { 3 };
+        let sums_of_parts = &mut sums[..parts];
+        let is_alone = MODE != ACROSS && neighbours.len == 0;
+        if is_alone && !self.alone[MODE].is_empty() {
+            sums_of_parts.clone_from_slice(&self.alone[MODE]);
+            if collect {
+                self.uncovered.push(cube);
+            }
+            return true;
+        }
         self.own = boxed(&cube);
         if MODE == ACROSS {
             self.stock = boxed(&stock.clamped(&cube.grown()));
@@ -247,13 +260,14 @@ impl FastKernel {
         let Some(list) = self.list(neighbours) else {
             return false;
         };
-        for sums in &mut sums[..if MODE == UNION { 1 } else { 3 }] {
-            *sums = Sums::default();
-        }
+        sums_of_parts.fill(Sums::default());
         self.divide::<MODE>(list, &cube, sums);
         if MODE == INSIDE {
             let [union, _, remaining] = sums;
             complement(union, remaining);
+        }
+        if is_alone {
+            self.alone[MODE] = sums[..parts].to_vec();
         }
         sums[0].volume != 0
     }

@@ -13,8 +13,23 @@ use crate::cli::bench::random::Random;
 pub(super) const EDGE: u32 = 1;
 pub(super) const STEPS_PER_UNIT: i32 = 1_000;
 
-/// Side of the box: a million cubes cover each point once on average. Units: edges.
-const SIDE: i32 = 100;
+/// Side of the box of random cubes. Units: edges.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Side(i32);
+
+/// So that every step of it fits the lattice.
+const SIDE_MAX: i32 = (1 << 30) / STEPS_PER_UNIT;
+
+impl Side {
+    /// A million cubes cover each point once on average.
+    pub(super) const OF_A_MILLION: Self = Self(100);
+
+    /// So many cubes cover each point once on average, or about that.
+    pub(super) fn of(cubes: usize) -> Self {
+        let holds = |side: i32| i64::from(side).pow(3) >= i64::try_from(cubes).unwrap_or(i64::MAX);
+        Self((1..SIDE_MAX).find(|&side| holds(side)).unwrap_or(SIDE_MAX))
+    }
+}
 
 /// The settings of every scene.
 pub(super) fn scene() -> Bytes {
@@ -125,9 +140,9 @@ pub(super) struct Cube {
     pub(super) corner: [i32; 3],
 }
 
-/// Random cubes with the ids from `first` on.
-pub(super) fn cubes(first: u64, count: usize, random: &mut Random) -> Vec<Cube> {
-    let side = i64::from(SIDE * STEPS_PER_UNIT);
+/// Random cubes in a box, with the ids from `first` on.
+pub(super) fn cubes(first: u64, count: usize, side: Side, random: &mut Random) -> Vec<Cube> {
+    let side = i64::from(side.0 * STEPS_PER_UNIT);
     let mut coordinate =
         || i32::try_from(random.within(0, side - 1)).expect("a side of the box fits 32 bits");
     let ids = (first..).take(count);

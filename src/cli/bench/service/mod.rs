@@ -27,7 +27,7 @@ use union3d::engine::recount;
 use union3d::geometry::{Edge, Place};
 use union3d::wire::proto::Change;
 
-use self::bodies::{Cube, EDGE, Protocol, STEPS_PER_UNIT};
+use self::bodies::{Cube, EDGE, Protocol, STEPS_PER_UNIT, Side};
 use self::grpc::WINDOW;
 use self::link::Link;
 use self::load::{Done, Supply, on_this_thread};
@@ -66,8 +66,8 @@ const APPEND_BYTES: usize = 4_096;
 process: cubes a second by protocol, cubes in a change and number of clients; queries while a writer is at full speed; small changes \
 while another scene takes a million cubes at once; restart after a kill, bytes of a snapshot, memory.
 
-What is sent is random cubes, a million of which cover each point once on average; it is encoded before the clock runs. Every scene \
-is compared with what was acknowledged, and the restarted one with a recount.",
+What is sent is random cubes, a million of which cover each point once on average; it is encoded before the clock runs. The scene that \
+is restarted is as dense, however large. Every scene is compared with what was acknowledged, and the restarted one with a recount.",
     after_long_help = "Examples:
   union3d bench service --data /var/tmp
   union3d bench service --part throughput --protocol protobuf --batch 4096 --clients 1,4
@@ -285,7 +285,7 @@ impl Bench<'_> {
         let mut random = Random::new(self.args.seed);
         (0..count).map(move |number| {
             let first = number as u64 * batch as u64 + 1;
-            bodies::cubes(first, batch, &mut random)
+            bodies::cubes(first, batch, Side::OF_A_MILLION, &mut random)
         })
     }
 
@@ -469,7 +469,12 @@ impl Bench<'_> {
         let data = self.data.join("large");
         let server = on_this_thread(Server::start(&data))?;
         let small = self.protobuf_bodies(1, 1);
-        let cubes = bodies::cubes(1, self.args.large, &mut Random::new(self.args.seed));
+        let cubes = bodies::cubes(
+            1,
+            self.args.large,
+            Side::OF_A_MILLION,
+            &mut Random::new(self.args.seed),
+        );
         let (all, none) = (bodies::replace(&[], &cubes), bodies::replace(&cubes, &[]));
         for beside in ["nothing", "inserting them", "deleting them"] {
             let (mut runs, mut large) = (Vec::new(), Vec::new());
@@ -584,7 +589,8 @@ impl Bench<'_> {
             [("figure", "figure"), ("value", "value"), ("unit", "unit")],
         );
         let mut random = Random::new(self.args.seed);
-        let mut cubes = bodies::cubes(1, self.args.cubes, &mut random);
+        let side = Side::of(self.args.cubes);
+        let mut cubes = bodies::cubes(1, self.args.cubes, side, &mut random);
         let count = float(cubes.len() as u64);
         let mut put = |name: &str, value: f64, unit: &str| {
             table.push(vec![text(name), figure(value), text(unit)]);
@@ -616,12 +622,19 @@ impl Bench<'_> {
 
         self.bar
             .set_message("moving cubes until there is a snapshot");
-        on_this_thread(move_until_snapshot(&server, scene, &mut cubes, &mut random))?;
+        on_this_thread(move_until_snapshot(&server, scene, &mut cubes, || {
+            bodies::cubes(0, LOAD_BATCH / 2, side, &mut random)
+        }))?;
         let (seconds, server) = self.restarts(server, &data, &cubes)?;
         put("ready after a kill, snapshot and log", seconds, "s");
         server.kill()?;
-        let (bytes, held) = snapshot(&data.join("scenes").join(scene).join("scene.sqlite"))?;
-        put("snapshot", bytes / held, "bytes a cube");
+        let written = Written::read(&data.join("scenes").join(scene).join("scene.sqlite"))?;
+        put(
+            "of which moved while it was written",
+            float(written.changes_since * (LOAD_BATCH as u64 / 2)),
+            "cubes",
+        );
+        put("snapshot", written.bytes / written.cubes, "bytes a cube");
         Ok(table)
     }
 
@@ -700,7 +713,7 @@ async fn move_until_snapshot(
     server: &Server,
     scene: &str,
     cubes: &mut [Cube],
-    random: &mut Random,
+    mut places: impl FnMut() -> Vec<Cube>,
 ) -> Result<(), Failure> {
     let mut link = Link::open(server.http).await?;
     let (path, kind) = (changes(scene), Protocol::Protobuf.content_type());
@@ -722,7 +735,7 @@ async fn move_until_snapshot(
         }
         let end = (next + LOAD_BATCH / 2).min(cubes.len());
         let part = &mut cubes[next..end];
-        let new_cubes: Vec<Cube> = bodies::cubes(0, part.len(), random)
+        let new_cubes: Vec<Cube> = places()
             .into_iter()
             .zip(&*part)
             .map(|(new, old)| Cube { id: old.id, ..new })
@@ -736,14 +749,28 @@ async fn move_until_snapshot(
     Ok(())
 }
 
-/// Bytes of the chunks of the newest snapshot in a scene's database, and the cubes in them.
-fn snapshot(database: &Path) -> Result<(f64, f64), Failure> {
-    let connection = Connection::open(database)?;
-    let query = "SELECT sum(length(cubes)), sum(count) FROM chunks WHERE id >> 16 = (SELECT max(number) FROM snapshots)";
-    Ok(connection.query_row(query, [], |row| {
-        let [bytes, cubes] = [row.get::<_, i64>(0)?, row.get(1)?];
-        Ok((float(bytes.unsigned_abs()), float(cubes.unsigned_abs())))
-    })?)
+/// The newest snapshot in a scene's database.
+struct Written {
+    bytes: f64,
+    cubes: f64,
+    /// Changes that came after it, or while it was written.
+    changes_since: u64,
+}
+
+impl Written {
+    fn read(database: &Path) -> Result<Self, Failure> {
+        let connection = Connection::open(database)?;
+        let query = "SELECT sum(length(cubes)), sum(count), (SELECT max(seq) FROM changes) - (SELECT max(seq) FROM snapshots) \
+                     FROM chunks WHERE id >> 16 = (SELECT max(number) FROM snapshots)";
+        Ok(connection.query_row(query, [], |row| {
+            let [bytes, cubes, changes] = [row.get::<_, i64>(0)?, row.get(1)?, row.get(2)?];
+            Ok(Self {
+                bytes: float(bytes.unsigned_abs()),
+                cubes: float(cubes.unsigned_abs()),
+                changes_since: changes.unsigned_abs(),
+            })
+        })?)
+    }
 }
 
 /// Bytes of all files under a directory.
