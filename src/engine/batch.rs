@@ -38,7 +38,7 @@ const SLICE_MIN: usize = 4096;
 const SLICE_MAX: usize = 1 << INDEX_BITS;
 const INDEX_BITS: u32 = 22;
 
-/// Visible cubes that are deleted at once where more are hidden.
+/// Visible cubes that are deleted at once where many are hidden.
 const CROWD_SLICE: usize = 128;
 
 /// Bits of an axis in the order of bins.
@@ -87,6 +87,9 @@ pub(super) const CUBES_A_STEP: usize = 256;
 /// Bins that one step makes ordinary ones again.
 const BINS_A_STEP: usize = 256;
 
+/// Changes for which one step looks after the certificates.
+const CERTIFICATES_A_STEP: usize = 64;
+
 /// Bins that one step divides or unites, and cubes for which it looks after the levels: each may move a hundred cubes.
 const CROWDS_A_STEP: usize = 16;
 
@@ -98,7 +101,7 @@ pub(super) fn insert_batch(access: &impl Access, cubes: &[(CubeId, Place)]) {
         let size = visible.clamp(SLICE_MIN, SLICE_MAX);
         let (slice, after) = rest.split_at(size.min(rest.len()));
         insert_slice(access, slice);
-        access.step(Engine::review_certificates);
+        review_certificates(access, slice.len());
         rest = after;
     }
 }
@@ -167,13 +170,27 @@ pub(super) fn delete_batch(access: &impl Access, cubes: &[(CubeId, Place)]) {
             }
             // In a crowd the first cubes promoted cover what the next deletions would lay bare: with many deletions at once
             // each would look through all that is hidden around it.
-            let is_crowd = access.look(|engine| engine.hidden.len() > engine.visible.len());
+            let is_crowd = access.look(|engine| engine.hidden.len() * 8 > engine.visible.len());
             let size = if is_crowd { CROWD_SLICE } else { SLICE_MAX };
             for slice in visible.chunks(size) {
                 delete_slice(access, slice);
             }
         }
-        access.step(Engine::review_certificates);
+        review_certificates(access, slice.len());
+    }
+}
+
+/// Looks after the certificates, which so many changes have passed by.
+fn review_certificates(access: &impl Access, changes: usize) {
+    for first in (0..changes).step_by(CERTIFICATES_A_STEP) {
+        let some = CERTIFICATES_A_STEP.min(changes - first);
+        let more = access.step(|engine| {
+            let (visible, hidden) = (&engine.visible, &engine.hidden);
+            engine.certificates.review(visible, hidden, some)
+        });
+        if !more {
+            return;
+        }
     }
 }
 
@@ -294,10 +311,6 @@ impl Plan {
 }
 
 impl Engine {
-    fn review_certificates(&mut self) {
-        self.certificates.review(&self.visible, &self.hidden);
-    }
-
     /// Certifies the fresh cubes of some bins.
     fn certify_fresh(&mut self, bins: &[Leaf]) {
         for bin in bins.iter().filter_map(|leaf| self.visible.bin(*leaf)) {

@@ -265,6 +265,13 @@ pub(super) struct Walk {
     slot: usize,
 }
 
+/// A position in a walk over the cubes of all bins, as a [`Walk`].
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct CubeWalk {
+    bins: Walk,
+    index: usize,
+}
+
 impl Bins {
     pub(super) fn new() -> Self {
         Self {
@@ -446,6 +453,39 @@ impl Bins {
             }
         }
         (None, true)
+    }
+
+    /// Shows the next corners of a walk, until the work is as much as that of `budget` of them; what is left of the budget once the
+    /// walk has come to its end.
+    pub(super) fn next_corners(
+        &self,
+        walk: &mut CubeWalk,
+        budget: usize,
+        visit: &mut impl FnMut([i32; 3]),
+    ) -> usize {
+        for left in (0..budget).rev() {
+            let CubeWalk { bins, index } = walk;
+            let Some(table) = self.tables.get(bins.table) else {
+                return left + 1;
+            };
+            match table.slots.get(bins.slot) {
+                None => {
+                    *bins = Walk {
+                        table: bins.table + 1,
+                        slot: 0,
+                    }
+                }
+                Some(bin) if !bin.is_divided() && *index < bin.len() => {
+                    visit(bin.corner(*index));
+                    *index += 1;
+                }
+                Some(_) => {
+                    bins.slot += 1;
+                    *index = 0;
+                }
+            }
+        }
+        0
     }
 
     /// The bins that are not divided.

@@ -15,7 +15,7 @@ use std::ops::Range;
 
 use crate::geometry::{Edge, Place};
 
-use super::bins::BinKey;
+use super::bins::{BinKey, CubeWalk};
 use super::grid::Grid;
 use super::marginal::Span;
 
@@ -32,6 +32,9 @@ pub(super) struct Certificates {
     edge: i32,
     cell: i32,
     state: State,
+    /// Which of the cubes that were there before have their certificates: of the visible ones, then of the hidden ones. None when
+    /// all have.
+    behind: Option<[(usize, CubeWalk); 2]>,
     blocks: Blocks,
 }
 
@@ -45,6 +48,9 @@ enum State {
     /// Yes.
     Kept,
 }
+
+/// Cubes, of those that were there when certificates began to be kept, that a change certifies.
+const CUBES_A_CHANGE: usize = 4;
 
 /// Fewer hidden cubes than this never pay.
 const HIDDEN_MIN: usize = 16;
@@ -65,6 +71,7 @@ impl Certificates {
             edge: edge.steps(),
             cell: cell.max(1),
             state,
+            behind: None,
             blocks: Blocks::default(),
         }
     }
@@ -78,21 +85,31 @@ impl Certificates {
     }
 
     /// Begins to keep certificates when a third of the cubes are hidden, and ends when fewer than a ninth are: between
-    /// the two lie so many changes that going over all visible cubes costs little for each.
-    pub(super) fn review(&mut self, visible: &Grid, hidden: &Grid) {
+    /// the two lie so many changes that going over all cubes costs little for each. That is done after the beginning, some
+    /// cubes for each of the changes since the last review, so that no change waits for all of them. True while there is more.
+    pub(super) fn review(&mut self, visible: &Grid, hidden: &Grid, changes: usize) -> bool {
         match self.state {
             State::Idle if hidden.len() >= HIDDEN_MIN && hidden.len() * 2 >= visible.len() => {
                 self.state = State::Kept;
-                for corner in visible.corners().chain(hidden.corners()) {
-                    self.certify(Place::from_checked(corner));
-                }
+                self.behind = Some(Default::default());
             }
             State::Kept if hidden.len() * 8 < visible.len() || hidden.len() == 0 => {
                 self.state = State::Idle;
+                self.behind = None;
                 self.blocks = Blocks::default();
             }
             State::Never | State::Idle | State::Kept => {}
         }
+        if let Some(mut behind) = self.behind.take() {
+            let mut budget = changes * CUBES_A_CHANGE;
+            for (grid, walk) in [visible, hidden].into_iter().zip(&mut behind) {
+                budget = grid.next_corners(walk, budget, |corner| {
+                    self.certify(Place::from_checked(corner));
+                });
+            }
+            self.behind = (budget == 0).then_some(behind);
+        }
+        self.behind.is_some()
     }
 
     /// Whether certificates are kept at the moment.

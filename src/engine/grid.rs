@@ -17,7 +17,7 @@ use std::ops::ControlFlow;
 
 use crate::geometry::{Bounds, CubeId, Edge, Place};
 
-use super::bins::{Bin, BinKey, Bins, Walk};
+use super::bins::{Bin, BinKey, Bins, CubeWalk, Walk};
 use super::extents::Extents;
 use super::neighbours::Neighbours;
 use super::scan::{Avx2, collect};
@@ -263,10 +263,23 @@ impl Grid {
         })
     }
 
-    /// The lower corners of all cubes.
-    pub(super) fn corners(&self) -> impl Iterator<Item = [i32; 3]> + '_ {
-        let bins = self.levels.iter().flat_map(Bins::iter);
-        bins.flat_map(|bin| (0..bin.len()).map(|index| bin.corner(index)))
+    /// Shows the next corners of a walk over all cubes, until the work is as much as that of `budget` of them; what is left of the
+    /// budget once the walk has come to its end. It goes on while cubes and levels come and go: some cubes may be met twice or
+    /// not at all.
+    pub(super) fn next_corners(
+        &self,
+        (level, walk): &mut (usize, CubeWalk),
+        budget: usize,
+        mut visit: impl FnMut([i32; 3]),
+    ) -> usize {
+        let mut left = budget;
+        while left > 0 && *level < self.levels.len() {
+            left = self.levels[*level].next_corners(walk, left, &mut visit);
+            if left > 0 {
+                (*level, *walk) = (*level + 1, CubeWalk::default());
+            }
+        }
+        left
     }
 
     /// Bytes of bins and tables, without the allocator's own. O(1).
@@ -784,7 +797,8 @@ mod tests {
             max: [0, 1, 2].map(|axis| greatest(axis).unwrap() + grid.edge),
         });
         assert_eq!(grid.bounds(), expected);
-        let mut corners: Vec<_> = grid.corners().collect();
+        let (mut corners, mut walk) = (Vec::new(), Default::default());
+        while grid.next_corners(&mut walk, 7, |corner| corners.push(corner)) == 0 {}
         let mut kept: Vec<_> = cubes.values().copied().collect();
         corners.sort_unstable();
         kept.sort_unstable();

@@ -398,7 +398,7 @@ impl Engine {
             self.certificates.certify(place);
             self.hidden.insert(place, id);
         }
-        self.certificates.review(&self.visible, &self.hidden);
+        self.certificates.review(&self.visible, &self.hidden, 1);
     }
 
     /// Makes a cube visible that adds to the union what the kernel found.
@@ -427,7 +427,7 @@ impl Engine {
             self.certificates.revoke(bare);
         }
         self.promote(place);
-        self.certificates.review(&self.visible, &self.hidden);
+        self.certificates.review(&self.visible, &self.hidden, 1);
     }
 
     /// Another cube at the very same place, if there is one, becomes visible instead of a cube that goes: the union stays.
