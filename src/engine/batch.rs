@@ -313,7 +313,8 @@ impl Plan {
 impl Engine {
     /// Certifies the fresh cubes of some bins.
     fn certify_fresh(&mut self, bins: &[Leaf]) {
-        for bin in bins.iter().filter_map(|leaf| self.visible.bin(*leaf)) {
+        let dense = bins.iter().filter(|leaf| self.visible.is_dense(**leaf));
+        for bin in dense.filter_map(|leaf| self.visible.bin(*leaf)) {
             for index in bin.len() - bin.fresh()..bin.len() {
                 let place = Place::from_checked(bin.corner(index));
                 self.certificates.certify(place);

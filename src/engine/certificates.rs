@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!   cells of an eighth of the edge (rounded down) ── 8 x 8 x 8 of them are one block of 64 bytes
-//!   certify   every cell inside a cube that comes, visible or hidden
+//!   certify   every cell inside a cube that comes, hidden, or visible where cubes are dense
 //!   revoke    every cell that meets what a deletion laid bare
 //!   covers    all cells that meet a cube are certified: the union covers it
 //! ```
@@ -102,11 +102,16 @@ impl Certificates {
         }
         if let Some(mut behind) = self.behind.take() {
             let mut budget = changes * CUBES_A_CHANGE;
-            for (grid, walk) in [visible, hidden].into_iter().zip(&mut behind) {
-                budget = grid.next_corners(walk, budget, |corner| {
-                    self.certify(Place::from_checked(corner));
-                });
-            }
+            let [of_visible, of_hidden] = &mut behind;
+            budget = visible.next_corners(of_visible, budget, |corner| {
+                let place = Place::from_checked(corner);
+                if visible.is_dense_at(place) {
+                    self.certify(place);
+                }
+            });
+            budget = hidden.next_corners(of_hidden, budget, |corner| {
+                self.certify(Place::from_checked(corner));
+            });
             self.behind = (budget == 0).then_some(behind);
         }
         self.behind.is_some()
@@ -117,7 +122,8 @@ impl Certificates {
         self.state == State::Kept
     }
 
-    /// Certifies the cells inside a cube of the set.
+    /// Certifies the cells inside a cube of the set. Of the visible ones those where cubes are dense: elsewhere none is covered, and
+    /// certificates would take more memory than the cubes.
     pub(super) fn certify(&mut self, place: Place) {
         if self.state != State::Kept {
             return;

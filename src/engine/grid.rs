@@ -414,6 +414,28 @@ impl Grid {
         }
     }
 
+    /// Whether there are so many cubes around a place that others may be covered by them: as many as would fill the bin
+    /// side by side.
+    pub(super) fn is_dense_at(&self, place: Place) -> bool {
+        let mut level = 0;
+        loop {
+            let key = self.key(level, place.corner());
+            match self.levels[level].get(key) {
+                Some(bin) if !bin.is_divided() => return self.is_dense(Leaf { level, key }),
+                None if !self.may_be_below(level) => return false,
+                Some(_) | None => level += 1,
+            }
+        }
+    }
+
+    /// The same for a bin.
+    pub(super) fn is_dense(&self, leaf: Leaf) -> bool {
+        let cubes = self.bin(leaf).map_or(0, Bin::len) as u128;
+        let edge = u128::from(self.edge.unsigned_abs());
+        let side = 1 << shift_of(self.shift, leaf.level);
+        cubes * edge.pow(3) >= u128::pow(side, 3)
+    }
+
     /// An undivided bin, if it is there.
     pub(super) fn bin(&self, leaf: Leaf) -> Option<&Bin> {
         self.levels[leaf.level].get(leaf.key)

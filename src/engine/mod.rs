@@ -405,7 +405,9 @@ impl Engine {
     fn show(&mut self, id: CubeId, place: Place) {
         add(&mut self.totals, self.kernel.found());
         self.visible.insert(place, id);
-        self.certificates.certify(place);
+        if self.certificates.are_kept() && self.visible.is_dense_at(place) {
+            self.certificates.certify(place);
+        }
     }
 
     fn delete(&mut self, id: CubeId, place: Place) {
