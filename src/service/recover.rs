@@ -46,7 +46,7 @@ impl Compare {
     fn waiting_max(self) -> usize {
         match self {
             Self::Every => 0,
-            Self::Some => 1 << 20,
+            Self::Some => 1 << 22,
         }
     }
 }

@@ -51,15 +51,17 @@ pub(super) fn measure(
     for &workload in workloads {
         let scenario = Scenario::of(workload, cubes, seed)?;
         let expected = scenario.totals();
-        let time = |shift: Option<u32>| -> Result<f64, String> {
-            let mut paces = Vec::new();
-            for run in 1..=runs {
+        let settings: Vec<Option<u32>> = [None].into_iter().chain(SHIFTS.map(Some)).collect();
+        let mut paces = vec![Vec::new(); settings.len()];
+        // One after the other in each run, so that a machine that slows down meanwhile slows all of them.
+        for run in 1..=runs {
+            for (shift, paces) in settings.iter().zip(&mut paces) {
                 let name = &scenario.name;
                 let bins =
                     shift.map_or("own bins".to_owned(), |shift| format!("bins of 2^{shift}"));
                 bar.set_message(format!("{name}: {bins}, run {run} of {runs}"));
                 let mut set = Online::with(match shift {
-                    Some(shift) => Engine::with_bins(scenario.edge, shift),
+                    Some(shift) => Engine::with_bins(scenario.edge, *shift),
                     None => Engine::new(scenario.edge),
                 });
                 let started = Instant::now();
@@ -70,13 +72,13 @@ pub(super) fn measure(
                 set.delete_all(&scenario.cubes);
                 let time = inserted + started.elapsed();
                 if found != expected || set.engine.totals() != Totals::default() {
-                    return Err(format!("{name}: {bins} give other totals"));
+                    return Err(format!("{name}: {bins} give other totals").into());
                 }
                 paces.push(time.as_secs_f64() * 1e6 / float(scenario.cubes.len() as u64));
             }
-            Ok(median(paces))
-        };
-        let own = time(None)?;
+        }
+        let mut paces = paces.into_iter().map(median);
+        let own = paces.next().expect("its own bins come first");
         let mut push = |side: Cell, pace: f64| {
             table.push(vec![
                 text(scenario.name.as_str()),
@@ -88,9 +90,8 @@ pub(super) fn measure(
         };
         push(text("own"), own);
         let mut points = Vec::new();
-        for shift in SHIFTS {
+        for (shift, pace) in SHIFTS.zip(paces) {
             let side = f64::from(1_u32 << shift) / f64::from(scenario.edge.steps());
-            let pace = time(Some(shift))?;
             push(text(format!("{side:.2}")), pace);
             points.push([side, pace]);
         }
