@@ -160,12 +160,12 @@ impl Bin {
         }
     }
 
-    /// Asks for the memory of the corners.
+    /// Asks for the memory of the corners; a divided bin has none, however many cubes it counts.
     #[inline]
     pub(super) fn prefetch(&self) {
         const LINE: usize = 16;
         let capacity = self.capacity();
-        let used = self.len();
+        let used = self.len().min(capacity);
         for axis in 0..3 {
             for line in (0..used).step_by(LINE) {
                 prefetch(&self.words, axis * capacity + line);
