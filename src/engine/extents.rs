@@ -25,6 +25,8 @@ struct Axis {
     /// Which layer is counted first.
     first: i32,
     counts: Vec<u32>,
+    /// No cube is in a layer before the first of these or behind the second.
+    used: [i32; 2],
     ends: [End; 2],
 }
 
@@ -64,6 +66,7 @@ impl Extents {
             shift: 0,
             first: 0,
             counts: Vec::new(),
+            used: [i32::MAX, i32::MIN],
             ends: [end(false), end(true)],
         };
         Self {
@@ -137,6 +140,8 @@ impl Axis {
             None => self.reach(coordinate),
         }
         let layer = coordinate >> self.shift;
+        let [from, to] = self.used;
+        self.used = [from.min(layer), to.max(layer)];
         for end in &mut self.ends {
             let signed = end.signed(coordinate);
             match &mut end.least {
@@ -177,6 +182,13 @@ impl Axis {
         }
     }
 
+    /// Whether there are no cubes in a layer that is counted.
+    #[inline]
+    fn is_empty(&self, layer: i32) -> bool {
+        let index = usize::try_from(i64::from(layer) - i64::from(self.first));
+        self.counts[index.expect("there are cubes, and layers of them")] == 0
+    }
+
     /// Counts a cube in a layer beyond those there are.
     #[cold]
     fn reach(&mut self, coordinate: i32) {
@@ -215,6 +227,7 @@ impl Axis {
         self.counts = counts;
         self.first >>= 1;
         self.shift += 1;
+        self.used = self.used.map(|layer| layer >> 1);
         for end in &mut self.ends {
             end.rim = None;
         }
@@ -222,18 +235,14 @@ impl Axis {
 
     /// The coordinate of one end.
     fn end<I: Iterator<Item = i32>>(&mut self, side: usize, within: impl Fn([i32; 2]) -> I) -> i32 {
-        let end = &mut self.ends[side];
-        if let Some(least) = end.least {
-            return end.signed(least);
+        if let Some(least) = self.ends[side].least {
+            return self.ends[side].signed(least);
         }
-        let used = |count: &u32| *count > 0;
-        let index = if end.greatest {
-            self.counts.iter().rposition(used)
-        } else {
-            self.counts.iter().position(used)
-        };
-        let index = index.expect("there are cubes");
-        let layer = self.first + i32::try_from(index).expect("there are few layers");
+        while self.is_empty(self.used[side]) {
+            self.used[side] += if side == 0 { 1 } else { -1 };
+        }
+        let layer = self.used[side];
+        let end = &mut self.ends[side];
         let usable = end.rim.take();
         let usable = usable.filter(|rim| rim.layer == layer && !rim.cubes.is_empty());
         let rim = usable.unwrap_or_else(|| {
