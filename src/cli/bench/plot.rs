@@ -36,6 +36,8 @@ const LEFT: f64 = 70.0;
 const RIGHT: f64 = 130.0;
 const TOP: f64 = 40.0;
 const BOTTOM: f64 = 50.0;
+/// Between names, one below the other.
+const LINE_HEIGHT: f64 = 14.0;
 
 /// Told apart with any kind of colour vision.
 /// # Source
@@ -105,14 +107,22 @@ impl Plot {
                 "<line x1=\"{LEFT}\" y1=\"{level:.1}\" x2=\"{}\" y2=\"{level:.1}\" stroke=\"{colour}\" stroke-dasharray=\"5 4\"/>",
                 WIDTH - RIGHT
             ));
-            if let Some([_, last]) = line.points.last() {
-                put(format!(
-                    "<text x=\"{}\" y=\"{:.1}\" fill=\"{colour}\">{}</text>",
-                    WIDTH - RIGHT + 8.0,
-                    y.at(*last) + 4.0,
-                    escaped(&line.name)
-                ));
-            }
+        }
+        let ends = self.lines.iter().enumerate().filter_map(|(number, line)| {
+            let [_, last] = line.points.last()?;
+            Some((y.at(*last) + 4.0, COLOURS[number % COLOURS.len()], line))
+        });
+        let mut ends: Vec<_> = ends.collect();
+        ends.sort_by(|(one, ..), (other, ..)| one.total_cmp(other));
+        let mut free = 0.0;
+        for (end, colour, line) in ends {
+            let at = f64::max(end, free);
+            free = at + LINE_HEIGHT;
+            put(format!(
+                "<text x=\"{}\" y=\"{at:.1}\" fill=\"{colour}\">{}</text>",
+                WIDTH - RIGHT + 8.0,
+                escaped(&line.name)
+            ));
         }
         put("</svg>".to_owned());
         svg
