@@ -298,6 +298,26 @@ impl Grid {
         self.levels[0].prefetch(self.key(0, place.corner()).hash());
     }
 
+    /// Asks for the memory in which the bin of a cube is looked for, on all levels.
+    #[inline]
+    pub(super) fn prefetch_levels(&self, place: Place) {
+        for (level, bins) in self.levels.iter().enumerate() {
+            bins.prefetch(self.key(level, place.corner()).hash());
+        }
+    }
+
+    /// Asks for the memory in which a cube is put.
+    #[inline]
+    pub(super) fn prefetch_end(&self, place: Place) {
+        for (level, bins) in self.levels.iter().enumerate() {
+            match bins.get(self.key(level, place.corner())) {
+                Some(bin) if !bin.is_divided() => return bin.prefetch_end(),
+                None if !self.may_be_below(level) => return,
+                Some(_) | None => {}
+            }
+        }
+    }
+
     /// Asks for the memory in which the bins around a cube are looked for, on the level that has most of them, where these are
     /// few.
     #[inline]

@@ -329,7 +329,7 @@ impl Engine {
         let firsts = [effect.deleted.first(), effect.inserted.first()];
         for (id, place) in firsts.into_iter().flatten() {
             self.ids.prefetch(*id);
-            self.visible.prefetch_around(*place);
+            self.prefetch_around(*place);
         }
         apply_ids(&RefCell::new(&mut *self), effect)?;
         self.delete_each(&effect.deleted);
@@ -338,10 +338,19 @@ impl Engine {
         Ok(())
     }
 
+    /// Asks for the memory in which a cube and those around it are looked for.
+    #[inline]
+    fn prefetch_around(&self, place: Place) {
+        self.visible.prefetch_around(place);
+        if self.hidden.len() > 0 {
+            self.hidden.prefetch_levels(place);
+        }
+    }
+
     fn delete_each(&mut self, cubes: &[(CubeId, Place)]) {
         for (at, &(id, place)) in cubes.iter().enumerate() {
             if let Some((_, next)) = cubes.get(at + 1) {
-                self.visible.prefetch_around(*next);
+                self.prefetch_around(*next);
             }
             self.delete(id, place);
         }
@@ -350,7 +359,7 @@ impl Engine {
     fn insert_each(&mut self, cubes: &[(CubeId, Place)]) {
         for (at, &(id, place)) in cubes.iter().enumerate() {
             if let Some((_, next)) = cubes.get(at + 1) {
-                self.visible.prefetch_around(*next);
+                self.prefetch_around(*next);
             }
             self.insert(id, place);
         }
@@ -390,6 +399,9 @@ impl Engine {
     }
 
     fn insert(&mut self, id: CubeId, place: Place) {
+        if self.certificates.are_kept() {
+            self.hidden.prefetch_end(place);
+        }
         if self.certificates.covers(place) {
             self.hidden.insert(place, id);
         } else if self.marginal(place) {
