@@ -357,6 +357,67 @@ fn large_batches_agree_with_single_changes() {
     }
 }
 
+/// Batches so large that the table of ids and the bins are filled by all threads: the same totals and listing as in parts; and
+/// one that does not fit changes nothing.
+#[test]
+fn very_large_batches_agree_with_smaller_ones() {
+    let edge = Edge::new(50).unwrap();
+    for (seed, reach) in [(1, 4_000), (2, 900)] {
+        let mut random = Random::new(seed);
+        let mut cubes = |ids: std::ops::Range<u64>| -> Vec<(CubeId, Place)> {
+            let mut place = |_| Place::new([0; 3].map(|_: i32| random.within(-reach, reach)), edge);
+            ids.map(|id| (CubeId(id * 3), place(id).unwrap())).collect()
+        };
+        let (first, second) = (cubes(0..240_000), cubes(300_000..390_000));
+        let replaced = Effect {
+            deleted: first[..120_000].to_vec(),
+            inserted: second.clone(),
+        };
+        let mut in_parts = Engine::new(edge);
+        for some in first.chunks(20_000) {
+            in_parts.apply(&inserting(some)).unwrap();
+        }
+        for count in 2..=3 {
+            let mut engine = Engine::new(edge).with_threads(threads(count));
+            engine.apply(&inserting(&first)).unwrap();
+            assert_eq!(
+                engine.totals(),
+                in_parts.totals(),
+                "seed {seed}, {count} threads"
+            );
+            let mut misfit = replaced.clone();
+            misfit.inserted.push(first[150_000]);
+            misfit.inserted.push(first[140_000]);
+            let id = first[150_000].0;
+            assert_eq!(engine.apply(&misfit), Err(Inconsistent { id }));
+            assert_eq!(engine.totals(), in_parts.totals());
+            assert!(engine.cubes().eq(in_parts.cubes()));
+            engine.apply(&replaced).unwrap();
+            let rest = engine.cubes().map(|(_, place)| place);
+            assert_eq!(
+                engine.totals(),
+                recount(edge, None, rest),
+                "seed {seed}, {count} threads"
+            );
+            let deleted = engine.cubes().collect();
+            engine
+                .apply(&Effect {
+                    deleted,
+                    inserted: vec![],
+                })
+                .unwrap();
+            assert_eq!(engine.totals(), Engine::new(edge).totals());
+        }
+    }
+}
+
+fn inserting(cubes: &[(CubeId, Place)]) -> Effect {
+    Effect {
+        deleted: vec![],
+        inserted: cubes.to_vec(),
+    }
+}
+
 fn threads(count: usize) -> NonZero<usize> {
     NonZero::new(count).unwrap()
 }

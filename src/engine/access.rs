@@ -12,7 +12,7 @@ pub trait Access {
     /// Reads, while others may read too.
     fn look<T>(&self, look: impl FnOnce(&Engine) -> T) -> T;
 
-    /// Takes a step, for some tens of microseconds, while nobody reads.
+    /// Takes a step, while nobody reads: some tens of microseconds; a millisecond or two when several threads put in a large batch.
     fn step<T>(&self, step: impl FnOnce(&mut Engine) -> T) -> T;
 }
 

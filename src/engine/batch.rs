@@ -60,7 +60,7 @@ pub(super) struct Helper {
     uncovered: Vec<Span>,
 }
 
-/// A part of a slice, in order.
+/// A slice in order.
 #[derive(Default)]
 struct Plan {
     /// The order of the cubes by bins that lie near each other, each with its index in the slice.
@@ -83,6 +83,12 @@ struct Found {
 
 /// Cubes that one step puts into a grid or takes out of it.
 pub(super) const CUBES_A_STEP: usize = 256;
+
+/// So many cubes are put into a grid on several threads; and how many of them at a time are first brought together, then put in by
+/// one step, which takes a millisecond or two.
+const FILL_MIN: usize = 1 << 16;
+const CUBES_AT_ONCE: usize = 1 << 18;
+const CUBES_A_LONG_STEP: usize = 1 << 14;
 
 /// Bins that one step makes ordinary ones again.
 const BINS_A_STEP: usize = 256;
@@ -108,15 +114,13 @@ pub(super) fn insert_batch(access: &impl Access, cubes: &[(CubeId, Place)]) {
 
 fn insert_slice(access: &impl Access, cubes: &[(CubeId, Place)]) {
     let mut helpers = access.step(|engine| engine.take_helpers(cubes.len()));
-    let plans = access.look(|engine| engine.plan(&mut helpers, cubes));
-    let mut touched = Vec::new();
-    let mut some = Vec::with_capacity(CUBES_A_STEP);
-    for plan in &plans {
-        for first in (0..plan.order.len()).step_by(CUBES_A_STEP) {
-            plan.take(first, cubes, &mut some);
-            access.step(|engine| engine.visible.insert_fresh(&some, &mut touched));
-        }
-    }
+    let plan = access.look(|engine| engine.plan(&mut helpers, cubes));
+    let threads = access.look(|engine| engine.threads);
+    let touched = if threads > 1 && plan.order.len() >= FILL_MIN {
+        fill_in_parallel(access, &plan, cubes, threads)
+    } else {
+        fill(access, &plan, cubes)
+    };
     let found = access.look(|engine| engine.evaluate(&mut helpers, &touched, cubes.len(), false));
     for found in found {
         if let Some(sum) = &found.sum {
@@ -139,17 +143,47 @@ fn insert_slice(access: &impl Access, cubes: &[(CubeId, Place)]) {
         }
     }
     settle(access, &touched);
-    for plan in plans {
-        for some in plan.covered.chunks(CUBES_A_STEP) {
-            access.step(|engine| {
-                for &index in some {
-                    let (id, place) = cubes[index];
-                    engine.hidden.insert(place, id);
-                }
-            });
-        }
+    for some in plan.covered.chunks(CUBES_A_STEP) {
+        access.step(|engine| {
+            for &index in some {
+                let (id, place) = cubes[index];
+                engine.hidden.insert(place, id);
+            }
+        });
     }
     access.step(|engine| engine.helpers = helpers);
+}
+
+/// Puts the cubes of a slice into the visible grid; the bins in which they are.
+fn fill(access: &impl Access, plan: &Plan, cubes: &[(CubeId, Place)]) -> Vec<Leaf> {
+    let mut touched = Vec::new();
+    let mut some = Vec::with_capacity(CUBES_A_STEP);
+    for first in (0..plan.order.len()).step_by(CUBES_A_STEP) {
+        plan.take(first, cubes, &mut some);
+        access.step(|engine| engine.visible.insert_fresh(&some, &mut touched));
+    }
+    touched
+}
+
+/// The same on several threads, in fewer and longer steps.
+fn fill_in_parallel(
+    access: &impl Access,
+    plan: &Plan,
+    cubes: &[(CubeId, Place)],
+    threads: usize,
+) -> Vec<Leaf> {
+    let mut touched = Vec::new();
+    for some in plan.order.chunks(CUBES_AT_ONCE) {
+        let mut shares: Vec<_> = some.chunks(some.len().div_ceil(threads)).collect();
+        let taken = in_parallel(&mut shares, |_, share| taken(share, cubes));
+        for some in taken
+            .iter()
+            .flat_map(|share| share.chunks(CUBES_A_LONG_STEP))
+        {
+            access.step(|engine| engine.visible.insert_fresh_on(threads, some, &mut touched));
+        }
+    }
+    touched
 }
 
 /// Deletes cubes whose ids are no longer in the table.
@@ -197,22 +231,20 @@ fn review_certificates(access: &impl Access, changes: usize) {
 /// Deletes visible cubes.
 fn delete_slice(access: &impl Access, cubes: &[(CubeId, Place)]) {
     let mut helpers = access.step(|engine| engine.take_helpers(cubes.len()));
-    let plans = access.look(|engine| engine.order(&mut helpers, cubes));
+    let plan = access.look(|engine| engine.order(&mut helpers, cubes));
     let mut touched = Vec::new();
     let mut count = 0;
-    for plan in &plans {
-        for first in (0..plan.order.len()).step_by(CUBES_A_STEP) {
-            access.step(|engine| {
-                for at in plan.step(first) {
-                    plan.prefetch(at, cubes, &engine.visible);
-                    let (id, place) = cubes[index_of(plan.order[at])];
-                    if !engine.hand_over(id, place) {
-                        touched.extend(engine.visible.make_fresh(place, id));
-                        count += 1;
-                    }
+    for first in (0..plan.order.len()).step_by(CUBES_A_STEP) {
+        access.step(|engine| {
+            for at in plan.step(first) {
+                plan.prefetch(at, cubes, &engine.visible);
+                let (id, place) = cubes[index_of(plan.order[at])];
+                if !engine.hand_over(id, place) {
+                    touched.extend(engine.visible.make_fresh(place, id));
+                    count += 1;
                 }
-            });
-        }
+            }
+        });
     }
     let found = access.look(|engine| {
         let boxes = engine.hidden.len() > 0;
@@ -283,6 +315,25 @@ fn settle(access: &impl Access, touched: &[Leaf]) {
 }
 
 impl Plan {
+    /// Makes a plan for each helper's part of the cubes, and of them one.
+    fn of_parts(helpers: &mut [Helper], part: impl Fn(usize) -> Self + Sync) -> Self {
+        let parts = in_parallel(helpers, |number, _| part(number));
+        let is_one = parts.len() <= 1;
+        let mut plan = parts.into_iter().reduce(|mut plan, mut part| {
+            plan.order.append(&mut part.order);
+            plan.covered.append(&mut part.covered);
+            plan
+        });
+        if let Some(plan) = plan.as_mut().filter(|_| !is_one) {
+            #[expect(
+                clippy::stable_sort_primitive,
+                reason = "it finds what is in order already, and merges it in one pass"
+            )]
+            plan.order.sort();
+        }
+        plan.unwrap_or_default()
+    }
+
     /// The places in the order that a step from `first` on takes.
     fn step(&self, first: usize) -> Range<usize> {
         first..self.order.len().min(first + CUBES_A_STEP)
@@ -323,12 +374,12 @@ impl Engine {
     }
 
     /// The order of cubes, without those that certificates cover.
-    fn plan(&self, helpers: &mut [Helper], cubes: &[(CubeId, Place)]) -> Vec<Plan> {
+    fn plan(&self, helpers: &mut [Helper], cubes: &[(CubeId, Place)]) -> Plan {
         if !self.certificates.are_kept() {
             return self.order(helpers, cubes);
         }
         let (codes, size) = (Codes::of(&self.visible, cubes), self.share(cubes.len()));
-        in_parallel(&mut helpers[..cubes.len().div_ceil(size)], |number, _| {
+        Plan::of_parts(&mut helpers[..cubes.len().div_ceil(size)], |number| {
             let first = number * size;
             let mut plan = Plan::default();
             for (index, (_, place)) in cubes.iter().enumerate().skip(first).take(size) {
@@ -344,9 +395,9 @@ impl Engine {
     }
 
     /// The order of cubes.
-    fn order(&self, helpers: &mut [Helper], cubes: &[(CubeId, Place)]) -> Vec<Plan> {
+    fn order(&self, helpers: &mut [Helper], cubes: &[(CubeId, Place)]) -> Plan {
         let (codes, size) = (Codes::of(&self.visible, cubes), self.share(cubes.len()));
-        in_parallel(&mut helpers[..cubes.len().div_ceil(size)], |number, _| {
+        Plan::of_parts(&mut helpers[..cubes.len().div_ceil(size)], |number| {
             let part = cubes.iter().enumerate().skip(number * size).take(size);
             let codes = part.map(|(index, (_, place))| codes.code(*place, index));
             let mut order: Vec<u64> = codes.collect();
@@ -359,7 +410,7 @@ impl Engine {
     }
 
     /// How many of so many cubes each thread takes.
-    fn share(&self, count: usize) -> usize {
+    pub(super) fn share(&self, count: usize) -> usize {
         let threads = if count < PARALLEL_MIN {
             1
         } else {
@@ -369,7 +420,7 @@ impl Engine {
     }
 
     /// As many helpers as so many cubes need, or more; to be given back.
-    fn take_helpers(&mut self, count: usize) -> Vec<Helper> {
+    pub(super) fn take_helpers(&mut self, count: usize) -> Vec<Helper> {
         let needed = count.div_ceil(self.share(count));
         while self.helpers.len() < needed {
             self.helpers.push(Helper {
@@ -446,15 +497,15 @@ impl Difference {
     }
 }
 
-/// Runs a task once for each helper, the first on this thread, the others each on one of its own.
+/// Runs a task once for each state, the first on this thread, the others each on one of its own.
 ///
 /// The threads are started for the task: some tens of microseconds, against a pool in which it would wait for the million
 /// cubes of another scene.
-fn in_parallel<T: Send>(
-    helpers: &mut [Helper],
-    task: impl Fn(usize, &mut Helper) -> T + Sync,
+pub(super) fn in_parallel<S: Send, T: Send>(
+    states: &mut [S],
+    task: impl Fn(usize, &mut S) -> T + Sync,
 ) -> Vec<T> {
-    let Some((own, others)) = helpers.split_first_mut() else {
+    let Some((own, others)) = states.split_first_mut() else {
         return Vec::new();
     };
     std::thread::scope(|scope| {
@@ -462,7 +513,7 @@ fn in_parallel<T: Send>(
         let others: Vec<_> = others
             .iter_mut()
             .zip(1..)
-            .map(|(helper, number)| scope.spawn(move || task(number, helper)))
+            .map(|(state, number)| scope.spawn(move || task(number, state)))
             .collect();
         let mut results = vec![task(0, own)];
         for other in others {
@@ -508,6 +559,17 @@ impl Codes {
         }
         code << INDEX_BITS | index as u64
     }
+}
+
+/// Cubes in an order.
+fn taken(order: &[u64], cubes: &[(CubeId, Place)]) -> Vec<(CubeId, Place)> {
+    let cube = |(at, code): (usize, &u64)| {
+        if let Some(ahead) = order.get(at + 2 * AHEAD) {
+            prefetch(cubes, index_of(*ahead));
+        }
+        cubes[index_of(*code)]
+    };
+    order.iter().enumerate().map(cube).collect()
 }
 
 fn index_of(code: u64) -> usize {

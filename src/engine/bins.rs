@@ -258,6 +258,20 @@ struct Table {
     used: usize,
 }
 
+/// What some tables have grown by.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Growth {
+    bins: usize,
+    words: usize,
+}
+
+/// Some of the tables of a level.
+pub(super) struct Share<'a> {
+    first: usize,
+    tables: &'a mut [Table],
+    growth: Growth,
+}
+
 /// A position in a walk over all bins that goes on while they change: some may be met twice or not at all.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Walk {
@@ -324,14 +338,7 @@ impl Bins {
     #[inline]
     pub(super) fn count_in(&mut self, key: BinKey) -> bool {
         let hash = key.hash();
-        let table = &mut self.tables[table_of(hash)];
-        let Ok(slot) = table.find(key, hash) else {
-            return false;
-        };
-        let bin = &mut table.slots[slot];
-        let divided = bin.is_divided();
-        bin.len += u32::from(divided);
-        divided
+        self.tables[table_of(hash)].count_in(key, hash, 1)
     }
 
     /// Counts a cube that goes from the bins below a divided one, which goes with the last of them.
@@ -363,29 +370,33 @@ impl Bins {
         key: BinKey,
         cubes: impl Iterator<Item = ([i32; 3], CubeId)>,
     ) -> bool {
-        let bin = self.entry(key);
-        let (words, fresh) = (bin.words.len(), if bin.len == 0 { 0 } else { bin.fresh() });
-        let len = bin.len();
-        for (corner, id) in cubes {
-            bin.push(corner, id);
-        }
-        bin.set_fresh(fresh + bin.len() - len);
-        let words = bin.words.len() - words;
-        self.words += words;
-        fresh == 0
+        let hash = key.hash();
+        let (is_first, growth) = self.tables[table_of(hash)].push_fresh(key, hash, cubes);
+        self.grow(growth);
+        is_first
+    }
+
+    /// The tables in so many shares, or fewer, each for a thread of its own. What each grows by is to be told to [`Self::grow`].
+    pub(super) fn shares(&mut self, count: usize) -> impl Iterator<Item = Share<'_>> {
+        let size = TABLES.div_ceil(count);
+        let tables = self.tables.chunks_mut(size);
+        tables.enumerate().map(move |(number, tables)| Share {
+            first: number * size,
+            tables,
+            growth: Growth::default(),
+        })
+    }
+
+    pub(super) fn grow(&mut self, growth: Growth) {
+        self.len += growth.bins;
+        self.words += growth.words;
     }
 
     fn entry(&mut self, key: BinKey) -> &mut Bin {
         let hash = key.hash();
-        let table = &mut self.tables[table_of(hash)];
-        let slot = match table.find(key, hash) {
-            Ok(slot) => slot,
-            Err(slot) => {
-                self.len += 1;
-                table.vacate(slot, key, hash)
-            }
-        };
-        &mut table.slots[slot]
+        let (bin, is_new) = self.tables[table_of(hash)].entry(key, hash);
+        self.len += usize::from(is_new);
+        bin
     }
 
     /// Makes a divided bin with so many cubes below it.
@@ -501,6 +512,55 @@ impl Bins {
     }
 }
 
+impl Share<'_> {
+    /// Whether the bin of this hash belongs here; the other calls are for such.
+    #[inline]
+    pub(super) fn has(&self, hash: u64) -> bool {
+        table_of(hash)
+            .checked_sub(self.first)
+            .is_some_and(|table| table < self.tables.len())
+    }
+
+    #[inline]
+    pub(super) fn prefetch(&self, hash: u64) {
+        let table = &self.tables[table_of(hash) - self.first];
+        prefetch(&table.slots, table.home(hash));
+    }
+
+    /// Asks for the memory in which the next cube of a bin is put.
+    #[inline]
+    pub(super) fn prefetch_end(&self, key: BinKey, hash: u64) {
+        let table = &self.tables[table_of(hash) - self.first];
+        if let Ok(slot) = table.find(key, hash) {
+            table.slots[slot].prefetch_end();
+        }
+    }
+
+    /// Counts cubes that come to the bins below a divided one. False when the bin is none.
+    #[inline]
+    pub(super) fn count_in(&mut self, key: BinKey, hash: u64, cubes: usize) -> bool {
+        self.tables[table_of(hash) - self.first].count_in(key, hash, cubes)
+    }
+
+    /// See [`Bins::push_fresh`].
+    pub(super) fn push_fresh(
+        &mut self,
+        key: BinKey,
+        hash: u64,
+        cubes: impl Iterator<Item = ([i32; 3], CubeId)>,
+    ) -> bool {
+        let table = &mut self.tables[table_of(hash) - self.first];
+        let (is_first, growth) = table.push_fresh(key, hash, cubes);
+        self.growth.bins += growth.bins;
+        self.growth.words += growth.words;
+        is_first
+    }
+
+    pub(super) fn growth(&self) -> Growth {
+        self.growth
+    }
+}
+
 #[inline]
 fn table_of(hash: u64) -> usize {
     const SHIFT: u32 = u64::BITS - TABLES.ilog2();
@@ -528,6 +588,50 @@ impl Table {
                 Some(_) => slot += 1,
             }
         }
+    }
+
+    /// The bin of a key, and whether it is new.
+    fn entry(&mut self, key: BinKey, hash: u64) -> (&mut Bin, bool) {
+        let (slot, is_new) = match self.find(key, hash) {
+            Ok(slot) => (slot, false),
+            Err(slot) => (self.vacate(slot, key, hash), true),
+        };
+        (&mut self.slots[slot], is_new)
+    }
+
+    /// See [`Bins::count_in`].
+    #[inline]
+    fn count_in(&mut self, key: BinKey, hash: u64, cubes: usize) -> bool {
+        let Ok(slot) = self.find(key, hash) else {
+            return false;
+        };
+        let bin = &mut self.slots[slot];
+        let divided = bin.is_divided();
+        if divided {
+            bin.len += u32::try_from(cubes).expect("there are at most 2^31 cubes");
+        }
+        divided
+    }
+
+    /// See [`Bins::push_fresh`].
+    fn push_fresh(
+        &mut self,
+        key: BinKey,
+        hash: u64,
+        cubes: impl Iterator<Item = ([i32; 3], CubeId)>,
+    ) -> (bool, Growth) {
+        let (bin, is_new) = self.entry(key, hash);
+        let (words, len) = (bin.words.len(), bin.len());
+        let fresh = if is_new { 0 } else { bin.fresh() };
+        for (corner, id) in cubes {
+            bin.push(corner, id);
+        }
+        bin.set_fresh(fresh + bin.len() - len);
+        let growth = Growth {
+            bins: usize::from(is_new),
+            words: bin.words.len() - words,
+        };
+        (fresh == 0, growth)
     }
 
     /// Gives a vacant slot to a new bin.

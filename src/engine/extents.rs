@@ -9,12 +9,22 @@
 
 use std::collections::BTreeMap;
 
+use crate::geometry::{CubeId, Place};
+
 /// The ends along three axes.
 #[derive(Debug)]
 pub(super) struct Extents {
     axes: [Axis; 3],
     /// Least and greatest corner, when all ends are known.
     known: Option<[[i32; 3]; 2]>,
+}
+
+/// One axis of the ends.
+pub(super) struct Along<'a> {
+    number: usize,
+    axis: &'a mut Axis,
+    /// Least and greatest coordinate, when they are known.
+    known: Option<[&'a mut i32; 2]>,
 }
 
 /// The cubes along one axis.
@@ -96,6 +106,20 @@ impl Extents {
         }
     }
 
+    /// The axes, each to be told, on any thread, of the same cubes that have come to others.
+    pub(super) fn axes(&mut self) -> impl Iterator<Item = Along<'_>> {
+        let mut ends = self
+            .known
+            .iter_mut()
+            .flat_map(|[least, greatest]| least.iter_mut().zip(greatest));
+        let axes = self.axes.iter_mut().enumerate();
+        axes.map(move |(number, axis)| Along {
+            number,
+            axis,
+            known: ends.next().map(|(least, greatest)| [least, greatest]),
+        })
+    }
+
     /// A cube has gone.
     #[inline]
     pub(super) fn remove(&mut self, corner: [i32; 3]) {
@@ -127,6 +151,22 @@ impl Extents {
         }
         self.known = Some(known);
         known
+    }
+}
+
+impl Along<'_> {
+    /// Cubes have come.
+    pub(super) fn insert_all(&mut self, cubes: &[(CubeId, Place)]) {
+        let mut ends = [i32::MAX, i32::MIN];
+        for (_, place) in cubes {
+            let coordinate = place.corner()[self.number];
+            self.axis.insert(coordinate, false);
+            ends = [ends[0].min(coordinate), ends[1].max(coordinate)];
+        }
+        if let Some([least, greatest]) = &mut self.known {
+            **least = ends[0].min(**least);
+            **greatest = ends[1].max(**greatest);
+        }
     }
 }
 

@@ -13,12 +13,13 @@
 //! it. Both are done a few bins at a time with every change, so that no change waits for all of them.
 
 use std::cmp::Ordering;
-use std::ops::ControlFlow;
+use std::ops::{ControlFlow, Range};
 
 use crate::geometry::{Bounds, CubeId, Edge, Place};
 
-use super::bins::{Bin, BinKey, Bins, CubeWalk, Walk};
-use super::extents::Extents;
+use super::batch::{CUBES_A_STEP, in_parallel};
+use super::bins::{Bin, BinKey, Bins, CubeWalk, Share, Walk};
+use super::extents::{Along, Extents};
 use super::neighbours::Neighbours;
 use super::scan::{Avx2, collect};
 
@@ -66,6 +67,25 @@ pub(super) struct Settled {
     /// How many cubes of the batch stayed.
     pub(super) cubes: usize,
 }
+
+/// What came of cubes put into a share of a level.
+#[derive(Default)]
+struct Filled {
+    /// Bins that have fresh cubes for the first time.
+    touched: Vec<BinKey>,
+    /// Cubes whose bins are divided, to be put into the next level.
+    divided: Vec<Range<usize>>,
+}
+
+/// Cubes beside each other in a list, all of one bin.
+struct Run {
+    key: BinKey,
+    hash: u64,
+    range: Range<usize>,
+}
+
+/// Runs whose memory is asked for at the same time.
+const RUNS_AT_ONCE: usize = 128;
 
 /// More cubes in a bin than this, and it is divided.
 const CROWD_MAX: usize = 160;
@@ -372,6 +392,52 @@ impl Grid {
         }
     }
 
+    /// The same on several threads, for more cubes at a time: each has some of the tables to itself.
+    pub(super) fn insert_fresh_on(
+        &mut self,
+        threads: usize,
+        cubes: &[(CubeId, Place)],
+        touched: &mut Vec<Leaf>,
+    ) {
+        if self.len == 0 || matches!(self.turn, Turn::Widen(..)) {
+            for some in cubes.chunks(CUBES_A_STEP) {
+                self.insert_fresh(some, touched);
+            }
+            return;
+        }
+        self.len += cubes.len();
+        let mut axes: Vec<Vec<Along<'_>>> = (0..threads).map(|_| Vec::new()).collect();
+        for (number, axis) in self.extents.axes().enumerate() {
+            axes[number % threads].push(axis);
+        }
+        let whole = 0..cubes.len();
+        let mut ranges = vec![whole];
+        for (level, bins) in self.levels.iter_mut().enumerate() {
+            let shift = shift_of(self.shift, level);
+            let mut tasks: Vec<_> = bins.shares(threads).zip(&mut axes).collect();
+            let filled = in_parallel(&mut tasks, |_, (share, axes)| {
+                for mut axis in std::mem::take(*axes) {
+                    axis.insert_all(cubes);
+                }
+                Filled::of(share, shift, cubes, &ranges)
+            });
+            let growths: Vec<_> = tasks.iter().map(|(share, _)| share.growth()).collect();
+            for growth in growths {
+                bins.grow(growth);
+            }
+            ranges.clear();
+            for filled in filled {
+                let leaves = filled.touched.into_iter().map(|key| Leaf { level, key });
+                touched.extend(leaves);
+                ranges.extend(filled.divided);
+            }
+            if ranges.is_empty() {
+                return;
+            }
+        }
+        debug_assert!(ranges.is_empty(), "the last level has no divided bins");
+    }
+
     /// Asks for the memory in which the bins of cubes are looked for, then for that of their next cubes: so the waiting for one
     /// overlaps with that for the others.
     fn prefetch_all(&self, cubes: &[(CubeId, Place)]) {
@@ -475,8 +541,7 @@ impl Grid {
 
     #[inline]
     fn key(&self, level: usize, corner: [i32; 3]) -> BinKey {
-        let shift = shift_of(self.shift, level);
-        BinKey(corner.map(|coordinate| coordinate >> shift))
+        key_of(corner, shift_of(self.shift, level))
     }
 
     /// The undivided bin for a cube that comes, which is counted in the divided ones above it.
@@ -783,6 +848,60 @@ impl Grid {
     }
 }
 
+impl Filled {
+    /// Puts those of the cubes in `ranges` into a share whose bins are there.
+    fn of(
+        share: &mut Share<'_>,
+        shift: u32,
+        cubes: &[(CubeId, Place)],
+        ranges: &[Range<usize>],
+    ) -> Self {
+        let mut filled = Self::default();
+        let mut runs = Vec::with_capacity(RUNS_AT_ONCE);
+        for range in ranges {
+            let mut rest = range.clone();
+            while !rest.is_empty() {
+                let key = key_of(cubes[rest.start].1.corner(), shift);
+                let is_here = |(_, place): &&(CubeId, Place)| key_of(place.corner(), shift) == key;
+                let count = cubes[rest.clone()].iter().take_while(is_here).count();
+                let hash = key.hash();
+                if share.has(hash) {
+                    share.prefetch(hash);
+                    let range = rest.start..rest.start + count;
+                    runs.push(Run { key, hash, range });
+                    if runs.len() == RUNS_AT_ONCE {
+                        filled.put(share, cubes, &mut runs);
+                    }
+                }
+                rest.start += count;
+            }
+        }
+        filled.put(share, cubes, &mut runs);
+        filled
+    }
+
+    fn put(&mut self, share: &mut Share<'_>, cubes: &[(CubeId, Place)], runs: &mut Vec<Run>) {
+        for run in &*runs {
+            share.prefetch_end(run.key, run.hash);
+        }
+        for Run { key, hash, range } in runs.drain(..) {
+            if share.count_in(key, hash, range.len()) {
+                self.divided.push(range);
+                continue;
+            }
+            let run = cubes[range].iter().map(|(id, place)| (place.corner(), *id));
+            if share.push_fresh(key, hash, run) {
+                self.touched.push(key);
+            }
+        }
+    }
+}
+
+#[inline]
+fn key_of(corner: [i32; 3], shift: u32) -> BinKey {
+    BinKey(corner.map(|coordinate| coordinate >> shift))
+}
+
 /// Width of the bins of a level.
 #[inline]
 fn shift_of(base: u32, level: usize) -> u32 {
@@ -861,6 +980,64 @@ mod tests {
             found.sort_unstable();
             expected.sort_unstable();
             assert_eq!(found, expected);
+        }
+    }
+
+    /// A batch put in by one thread or by several: the same cubes in the same bins, whatever levels there are, and the same
+    /// bins known to have fresh ones.
+    #[test]
+    fn threads_fill_the_same_bins() {
+        let edge = Edge::new(100).unwrap();
+        for threads in 1..=3 {
+            let mut random = Counter(threads as u64);
+            let [mut one, mut several] = [(); 2].map(|()| Grid::for_neighbours(edge));
+            let mut cubes = BTreeMap::new();
+            let mut levels = 0;
+            // Sparse, then crowds in some bins, then nearly all in crowds.
+            for (change, (half, count)) in [
+                (30_000, 9_000),
+                (600, 3_000),
+                (30_000, 9_000),
+                (300, 20_000),
+            ]
+            .into_iter()
+            .enumerate()
+            {
+                let first = change as u64 * 100_000;
+                let mut batch: Vec<_> = (first..first + count)
+                    .map(|id| {
+                        let corner = [0; 3].map(|_: i32| random.within(half));
+                        (CubeId(id), Place::from_checked(corner))
+                    })
+                    .collect();
+                batch.sort_by_key(|(_, place)| one.key(0, place.corner()));
+                let mut touched = [Vec::new(), Vec::new()];
+                one.insert_fresh(&batch, &mut touched[0]);
+                several.insert_fresh_on(threads, &batch, &mut touched[1]);
+                cubes.extend(batch.iter().map(|(id, place)| (id.0, place.corner())));
+                let [expected, found] = touched.each_ref().map(|leaves| {
+                    let mut bins: Vec<_> =
+                        leaves.iter().map(|leaf| (leaf.level, leaf.key)).collect();
+                    bins.sort_unstable();
+                    bins
+                });
+                assert_eq!(found, expected, "change {change}");
+                assert_eq!(several.size(), one.size(), "change {change}");
+                for (grid, touched) in [(&mut one, &touched[0]), (&mut several, &touched[1])] {
+                    let mut settled = Settled::default();
+                    grid.settle(touched, &mut settled);
+                    assert_eq!(settled.cubes as u64, count);
+                    for leaf in &settled.crowded {
+                        grid.divide_crowded(*leaf);
+                    }
+                    check(grid, &cubes, &mut random);
+                    levels = levels.max(grid.levels.len());
+                }
+                let divided =
+                    |grid: &Grid| -> usize { grid.levels.iter().map(Bins::divided).sum() };
+                assert_eq!(divided(&several), divided(&one));
+            }
+            assert!(levels > 2, "crowds have divided bins: {levels}");
         }
     }
 

@@ -12,6 +12,7 @@
 use crate::geometry::{CubeId, Place};
 
 use super::Cursor;
+use super::batch::AHEAD;
 use super::scan::prefetch;
 
 /// One cube: 20 bytes, so that a table at 53 to 80 % load takes 25 to 38 bytes a cube.
@@ -36,7 +37,7 @@ const TAIL_MAX: usize = 64;
 const CAPACITY_MIN: usize = 4;
 
 /// Parts of the table. Each grows and shrinks alone, so that a pause is a sixty-fourth of what it would be.
-const PARTS: usize = 64;
+pub(super) const PARTS: usize = 64;
 
 /// So far from its home a cube is looked for slot by slot: most are nearer.
 const STEPS_OF_ONE: usize = 16;
@@ -51,7 +52,7 @@ pub(super) struct IdTable {
 
 /// The ids whose mix begins alike.
 #[derive(Clone, Debug, Default)]
-struct Part {
+pub(super) struct Part {
     /// `capacity` homes and a tail; nothing at all when there are no cubes.
     slots: Vec<Entry>,
     capacity: usize,
@@ -110,6 +111,32 @@ impl IdTable {
         Some(place)
     }
 
+    /// The part in which an id is.
+    #[inline]
+    pub(super) fn part_of(id: CubeId) -> usize {
+        part_of(mix(id))
+    }
+
+    /// A part as it is without some cubes of its own and with others; none when one of them does not fit.
+    pub(super) fn changed(
+        &self,
+        part: usize,
+        deleted: &[(CubeId, Place)],
+        inserted: &[(CubeId, Place)],
+    ) -> Option<Part> {
+        let mut changed = self.parts[part].clone();
+        changed.delete_each(deleted)?;
+        changed.insert_each(inserted)?;
+        Some(changed)
+    }
+
+    /// Puts a part in place of what it was, and what it was in place of it.
+    pub(super) fn swap_part(&mut self, number: usize, part: &mut Part) {
+        let here = &mut self.parts[number];
+        self.len = self.len - here.len + part.len;
+        std::mem::swap(here, part);
+    }
+
     /// See `Engine::cubes_after`.
     pub(super) fn cubes_after(
         &self,
@@ -143,6 +170,36 @@ fn part_of(mixed: u64) -> usize {
 }
 
 impl Part {
+    /// None when a cube is not there.
+    fn delete_each(&mut self, cubes: &[(CubeId, Place)]) -> Option<()> {
+        for (at, (id, place)) in cubes.iter().enumerate() {
+            self.prefetch(cubes.get(at + AHEAD));
+            if self.remove(mix(*id)) != Some(*place) {
+                return None;
+            }
+        }
+        Some(())
+    }
+
+    /// None when an id is there.
+    fn insert_each(&mut self, cubes: &[(CubeId, Place)]) -> Option<()> {
+        self.reserve(cubes.len());
+        for (at, (id, place)) in cubes.iter().enumerate() {
+            self.prefetch(cubes.get(at + AHEAD));
+            if !self.insert(mix(*id), Entry::new(*id, *place)) {
+                return None;
+            }
+        }
+        Some(())
+    }
+
+    #[inline]
+    fn prefetch(&self, cube: Option<&(CubeId, Place)>) {
+        if let Some((id, _)) = cube {
+            prefetch(&self.slots, self.home(mix(*id)));
+        }
+    }
+
     fn reserve(&mut self, more: usize) {
         let needed = self.len + more;
         if needed * 5 > self.capacity * 4 {

@@ -18,6 +18,7 @@ mod access;
 mod audit;
 mod bare;
 mod batch;
+mod batch_ids;
 mod bins;
 mod certificates;
 mod extents;
@@ -39,6 +40,7 @@ pub use access::Access;
 pub use audit::recount;
 pub use bare::Bare;
 use batch::{AHEAD, BATCH_MIN, CUBES_A_STEP, Helper, delete_batch, insert_batch};
+use batch_ids::change_ids;
 use certificates::Certificates;
 use grid::Grid;
 use ids::IdTable;
@@ -308,7 +310,11 @@ impl Engine {
         if deleted.len() < BATCH_MIN && inserted.len() < BATCH_MIN {
             return access.step(|engine| engine.apply_few(effect));
         }
-        apply_ids(access, effect)?;
+        let by_parts = access.look(|engine| engine.changes_whole_parts(effect));
+        // When the effect does not fit, one cube after the other finds out where.
+        if !(by_parts && change_ids(access, effect)) {
+            apply_ids(access, effect)?;
+        }
         if deleted.len() < BATCH_MIN {
             access.step(|engine| engine.delete_each(deleted));
         } else {
