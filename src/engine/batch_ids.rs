@@ -19,7 +19,7 @@ use super::scan::prefetch;
 const CHANGES_MIN: usize = 1024;
 
 /// How many cubes of the table may be copied for each one that is changed.
-const COPIES_MAX: usize = 16;
+const COPIES_MAX: usize = 4;
 
 /// Parts that are there twice at one time.
 const PARTS_AT_ONCE: usize = 8;
