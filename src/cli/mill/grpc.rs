@@ -12,8 +12,8 @@ use tonic::{Code, Status, Streaming};
 use uuid::Uuid;
 
 use super::super::client::{SceneWanted, inserted};
+use super::line::{LineChange, Material};
 use super::tally::Cut;
-use super::target::{Part, State};
 use union3d::wire::proto::union_service_client::UnionServiceClient;
 use union3d::wire::proto::{
     Box as Block, Change, CreateSceneRequest, Detail, ExactMeasures, ExactVector,
@@ -76,7 +76,7 @@ impl Patience {
 
 /// A line that has been sent and not been acknowledged.
 struct Sent {
-    part: Part,
+    line: LineChange,
     message: StreamedChange,
 }
 
@@ -177,14 +177,14 @@ impl GrpcStream {
     }
 
     /// Sends a line; answers those that were acknowledged meanwhile.
-    pub(super) async fn send(&mut self, part: Part) -> Result<Vec<Cut>, Failure> {
+    pub(super) async fn send(&mut self, line: LineChange) -> Result<Vec<Cut>, Failure> {
         self.sent += 1;
         let change = Change {
-            r#move: Some(part.line),
-            duration: part.seconds(),
-            ..inserted(self.next_id, &part.places)
+            r#move: Some(line.line),
+            duration: line.seconds(),
+            ..inserted(self.next_id, &line.places)
         };
-        self.next_id += part.places.len() as u64;
+        self.next_id += line.places.len() as u64;
         let message = StreamedChange {
             tag: self.sent,
             change: Some(change),
@@ -195,7 +195,7 @@ impl GrpcStream {
             cuts.extend(self.acknowledged().await?);
         }
         let sent = request::Message::Change(message.clone());
-        self.in_flight.push_back(Sent { part, message });
+        self.in_flight.push_back(Sent { line, message });
         // There is room for all that is in flight; when the channel is closed, reading says why and sends all again.
         drop(self.to.try_send(StreamChangesRequest {
             message: Some(sent),
@@ -252,7 +252,7 @@ impl GrpcStream {
                 self.patience = Patience::default();
                 let removed = outcome.volume_removed_exact.parse();
                 let removed = removed.map_err(|_| self.without("what the change removed"))?;
-                Ok(Some(oldest.part.cut(removed, after)))
+                Ok(Some(oldest.line.cut(removed, after)))
             }
             Some(response::Message::Refused(refused)) => {
                 let problem = refused.problem.unwrap_or_default();
@@ -342,9 +342,9 @@ fn away(status: &Status) -> bool {
     }
 }
 
-fn state_of_volumes(volumes: &Volumes) -> Option<State> {
+fn state_of_volumes(volumes: &Volumes) -> Option<Material> {
     let removed = volumes.exact_removed.as_ref();
-    Some(State {
+    Some(Material {
         removed: removed.unwrap_or(&volumes.exact_union).parse().ok()?,
         area: volumes.exact_area.parse().ok()?,
     })

@@ -1,6 +1,7 @@
 //! `union3d mill`: G-code to the cubes that a cubic cutter sweeps, and what each line removes.
 
 mod grpc;
+mod line;
 mod tally;
 mod target;
 
@@ -14,8 +15,9 @@ use std::time::{Duration, Instant};
 use indicatif::ProgressBar;
 use serde_json::{Value, value::RawValue};
 
+use self::line::LineChange;
 use self::tally::{Cutting, Kind, Tally};
-use self::target::{Part, Target};
+use self::target::Target;
 use super::client::{Client, SceneWanted};
 use super::cutter::{Cutter, STEPS_PER_EDGE, Unit};
 use super::input::{self, Input};
@@ -174,7 +176,7 @@ async fn mill(args: Args, settings: &Settings, (source, size): Input) -> Outcome
     let mut cutter = Cutter::new(settings, args.unit, step);
     let mut program = Moves::new(BufReader::new(source));
     let (mut moves, mut cubes) = (0, 0_u64);
-    let mut open: Option<Part> = None;
+    let mut open: Option<LineChange> = None;
     let mut approach = Approach {
         known: args.stock.is_none(),
     };
@@ -196,7 +198,7 @@ async fn mill(args: Args, settings: &Settings, (source, size): Input) -> Outcome
             bar.set_position(program.bytes());
             bar.set_message(format!("{} cubes", report::figure(&cubes.into())));
         }
-        let open = open.get_or_insert_with(|| Part::new(line, kind));
+        let open = open.get_or_insert_with(|| LineChange::new(line, kind));
         open.join(kind, time.map(|time| duration(line, time)).transpose()?);
         let cuts = kind == Kind::Feed || args.rapid || args.stock.is_some();
         let Some(swept) = next.filter(|_| cuts).and_then(|next| approach.swept(&next)) else {
@@ -290,7 +292,7 @@ fn duration(line: u64, seconds: f64) -> Result<Duration, String> {
 
 /// Sends a whole line.
 async fn send(
-    line: Part,
+    line: LineChange,
     target: &mut Target,
     tally: &mut Tally<'_>,
     args: &Args,
