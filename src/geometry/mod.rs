@@ -7,6 +7,7 @@
 //!                                 sum over points of weight * monomial ──────────── Measures
 //! ```
 
+pub mod convex;
 mod cubes;
 mod lattice;
 mod measures;

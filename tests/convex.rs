@@ -1,0 +1,445 @@
+//! Convex solids: hulls, sweeps and cutters against definitions tried out point by point.
+
+use std::collections::BTreeSet;
+
+use union3d::geometry::convex::{
+    EXTENT_MAX, InvalidSolid, InvalidSweep, Plane, Point, Solid, VERTICES_MAX,
+};
+
+/// A small generator (splitmix64), so that a printed seed gives the same case everywhere.
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut bits = self.0;
+        bits = (bits ^ bits >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        bits = (bits ^ bits >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+        bits ^ bits >> 31
+    }
+
+    /// A number from `low` to `high`, both included.
+    fn within(&mut self, low: i64, high: i64) -> i64 {
+        low + (self.next() % (high - low + 1) as u64) as i64
+    }
+
+    fn point(&mut self, low: i64, high: i64) -> Point {
+        point([0; 3].map(|_: i32| self.within(low, high)))
+    }
+}
+
+fn point(coordinates: [i64; 3]) -> Point {
+    Point::new(coordinates).unwrap()
+}
+
+fn points<const N: usize>(coordinates: [[i64; 3]; N]) -> Vec<Point> {
+    coordinates.map(point).to_vec()
+}
+
+/// What a solid is, whatever the order of its lists: each plane with the vertices of its loop, the least first.
+fn description(solid: &Solid) -> BTreeSet<(Plane, Vec<Point>)> {
+    let of_facet = |facet: union3d::geometry::convex::Facet<'_>| {
+        let mut corners: Vec<_> = facet
+            .vertices
+            .iter()
+            .map(|&vertex| solid.vertices()[usize::from(vertex)])
+            .collect();
+        let least = (0..corners.len())
+            .min_by_key(|&place| corners[place])
+            .unwrap();
+        corners.rotate_left(least);
+        (*facet.plane, corners)
+    };
+    solid.facets().map(of_facet).collect()
+}
+
+/// Everything that a solid promises, from its definition.
+#[track_caller]
+fn check_solid(solid: &Solid) {
+    let (vertices, planes) = (solid.vertices(), solid.planes());
+    assert_eq!(
+        vertices.len() + planes.len(),
+        solid.edges().len() + 2,
+        "Euler's formula"
+    );
+    assert_eq!(
+        vertices.iter().collect::<BTreeSet<_>>().len(),
+        vertices.len()
+    );
+    assert_eq!(planes.iter().collect::<BTreeSet<_>>().len(), planes.len());
+    let mut facets_at = vec![0; vertices.len()];
+    for (index, facet) in solid.facets().enumerate() {
+        // Convex: every vertex is on or below every plane, and on it exactly when it is in the loop.
+        let on: BTreeSet<u16> = (0..vertices.len() as u16)
+            .filter(|&vertex| facet.plane.at(vertices[usize::from(vertex)]) == 0)
+            .collect();
+        assert!(vertices.iter().all(|&vertex| facet.plane.at(vertex) <= 0));
+        assert_eq!(on, facet.vertices.iter().copied().collect());
+        assert_eq!(facet.vertices.len(), on.len());
+        assert!(facet.vertices.len() >= 3);
+        for place in 0..facet.vertices.len() {
+            let corner = |ahead: usize| {
+                let vertex = facet.vertices[(place + ahead) % facet.vertices.len()];
+                vertices[usize::from(vertex)]
+            };
+            // Counterclockwise, with a turn at every vertex.
+            assert_eq!(
+                Plane::through(corner(0), corner(1), corner(2)),
+                Some(*facet.plane)
+            );
+            facets_at[usize::from(facet.vertices[place])] += 1;
+            let tail = facet.vertices[place];
+            let head = facet.vertices[(place + 1) % facet.vertices.len()];
+            let forwards = |edge: &&union3d::geometry::convex::Edge| {
+                (edge.tail, edge.head, edge.left) == (tail, head, index as u16)
+                    && edge.right == facet.across[place]
+            };
+            let backwards = |edge: &&union3d::geometry::convex::Edge| {
+                (edge.head, edge.tail, edge.right) == (tail, head, index as u16)
+                    && edge.left == facet.across[place]
+            };
+            let sides = solid.edges().iter().filter(forwards).count()
+                + solid.edges().iter().filter(backwards).count();
+            assert_eq!(sides, 1, "each side of a facet is one side of one edge");
+        }
+    }
+    assert!(facets_at.iter().all(|&count| count >= 3));
+    for axis in 0..3 {
+        let along = || vertices.iter().map(|vertex| vertex.coordinates()[axis]);
+        assert_eq!(along().min(), Some(solid.bounds().min[axis]));
+        assert_eq!(along().max(), Some(solid.bounds().max[axis]));
+    }
+    assert!(solid.volume6() > 0);
+}
+
+/// The planes of a hull by its definition: through three points, with no point outside. None when the points are flat.
+fn planes_by_definition(points: &[Point]) -> Option<BTreeSet<Plane>> {
+    let mut planes = BTreeSet::new();
+    for &a in points {
+        for &b in points {
+            for &c in points {
+                if let Some(plane) = Plane::through(a, b, c)
+                    && points.iter().all(|&other| plane.at(other) <= 0)
+                {
+                    planes.insert(plane);
+                }
+            }
+        }
+    }
+    let flat = planes
+        .iter()
+        .any(|plane| points.iter().all(|&p| plane.at(p) == 0));
+    (!flat && !planes.is_empty()).then_some(planes)
+}
+
+#[track_caller]
+fn check_hull(points: &[Point]) {
+    match (Solid::hull(points), planes_by_definition(points)) {
+        (Ok(solid), Some(planes)) => {
+            check_solid(&solid);
+            assert_eq!(
+                solid.planes().iter().copied().collect::<BTreeSet<_>>(),
+                planes
+            );
+            assert!(
+                solid
+                    .vertices()
+                    .iter()
+                    .all(|vertex| points.contains(vertex))
+            );
+        }
+        (Err(InvalidSolid::Flat), None) => {}
+        (found, expected) => {
+            panic!("{found:?}, where the definition says {expected:?}: {points:?}")
+        }
+    }
+}
+
+#[test]
+fn hulls_are_what_the_definition_says() {
+    // Worlds of two to five steps: most points are repeated, in line or coplanar with others.
+    for seed in 0..3000 {
+        println!("seed {seed}");
+        let mut random = Random(seed);
+        let size = random.within(1, 4);
+        let count = random.within(1, 14);
+        let cloud: Vec<Point> = (0..count).map(|_| random.point(0, size)).collect();
+        check_hull(&cloud);
+    }
+}
+
+#[test]
+fn hulls_of_everything_in_the_smallest_world() {
+    // Every set of corners of a cube.
+    for set in 0_u32..256 {
+        let cloud: Vec<Point> = (0..8_i64)
+            .filter(|corner| set >> corner & 1 == 1)
+            .map(|corner| point([corner & 1, corner >> 1 & 1, corner >> 2]))
+            .collect();
+        if cloud.is_empty() {
+            assert_eq!(Solid::hull(&cloud).unwrap_err(), InvalidSolid::Empty);
+        } else {
+            check_hull(&cloud);
+        }
+    }
+    // A full block leaves its eight corners.
+    let block: Vec<Point> = (0..1000)
+        .map(|number| point([number % 10, number / 10 % 10, number / 100]))
+        .collect();
+    let solid = Solid::hull(&block).unwrap();
+    check_solid(&solid);
+    assert_eq!((solid.vertices().len(), solid.planes().len()), (8, 6));
+    assert_eq!(solid.volume6(), 6 * 9 * 9 * 9);
+}
+
+/// Lattice points near a sphere, spread evenly.
+fn sphere(count: usize, radius: f64) -> Vec<Point> {
+    let golden = std::f64::consts::PI * (3.0 - 5.0_f64.sqrt());
+    let at = |number: usize| {
+        let z = 1.0 - (2.0 * number as f64 + 1.0) / count as f64;
+        let (sine, cosine) = (golden * number as f64).sin_cos();
+        let ring = (1.0 - z * z).sqrt();
+        point([ring * cosine, ring * sine, z].map(|part| (radius * part).round() as i64))
+    };
+    (0..count).map(at).collect()
+}
+
+#[test]
+fn large_hulls() {
+    for (count, radius) in [(300, 1000.0), (VERTICES_MAX, 1_000_000.0)] {
+        let solid = Solid::hull(&sphere(count, radius)).unwrap();
+        assert_eq!(solid.vertices().len(), count);
+        let volume = solid.volume6() as f64 / 6.0;
+        let ball = 4.0 / 3.0 * std::f64::consts::PI * radius.powi(3);
+        assert!(volume < ball * 1.001 && volume > ball * 0.97);
+        if count < 1000 {
+            check_solid(&solid);
+        }
+    }
+    let refused = Solid::hull(&sphere(VERTICES_MAX + 1, 1_000_000.0)).unwrap_err();
+    assert_eq!(
+        refused,
+        InvalidSolid::TooManyVertices {
+            count: VERTICES_MAX + 1
+        }
+    );
+    // Many points are no fault when few of them are vertices.
+    let ball = sphere(VERTICES_MAX, 1_000.0);
+    let half: Vec<Point> = ball
+        .iter()
+        .map(|at| point(at.wide().map(|part| part / 2)))
+        .collect();
+    let corner = 2000;
+    let frame =
+        (0..8).map(|n: i64| point([n & 1, n >> 1 & 1, n >> 2].map(|bit| (2 * bit - 1) * corner)));
+    let all: Vec<Point> = ball.iter().copied().chain(half).chain(frame).collect();
+    assert_eq!(Solid::hull(&all).unwrap().vertices().len(), 8);
+}
+
+#[test]
+fn solids_at_the_limits() {
+    let far = 1 << 30;
+    let near = far - EXTENT_MAX;
+    for (low, high) in [(near, far), (-far, -near)] {
+        // The greatest box, a needle along its diagonal, a plate of one step, and the largest normals.
+        let corners = Solid::cuboid(point([low; 3]), point([high; 3])).unwrap();
+        check_solid(&corners);
+        assert_eq!(corners.volume6(), 6 << 63);
+        for cloud in [
+            points([
+                [low; 3],
+                [low + 1, low, low],
+                [low, low + 1, low],
+                [high; 3],
+            ]),
+            points([
+                [low, low, low],
+                [high, low, low],
+                [low, high, low],
+                [high, high, low + 1],
+                [high - 1, high, low + 1],
+            ]),
+            points([
+                [low, high, low + 1],
+                [high, low, low],
+                [low + 1, low, high],
+                [high, high, high - 1],
+            ]),
+        ] {
+            check_hull(&cloud);
+        }
+    }
+    for axis in 0..3 {
+        let mut end = [1; 3];
+        end[axis] = EXTENT_MAX + 1;
+        let refused = Solid::cuboid(Point::ORIGIN, point(end)).unwrap_err();
+        assert_eq!(
+            refused,
+            InvalidSolid::TooLong {
+                axis,
+                steps: EXTENT_MAX + 1
+            }
+        );
+        let mut start = [0; 3];
+        start[axis] = -far;
+        let outside = Solid::cuboid(Point::ORIGIN, point([1; 3]))
+            .unwrap()
+            .displaced(start.map(|part| part * 2));
+        assert!(
+            matches!(outside.unwrap_err(), InvalidSolid::OutOfRange(fault) if fault.axis == axis)
+        );
+    }
+    let bad = Point::new([0, far + 1, 0]).unwrap_err();
+    assert_eq!(
+        bad.to_string(),
+        "y = 1073741825 steps is outside -1073741824 to 1073741824"
+    );
+}
+
+#[test]
+fn flat_hulls_are_refused() {
+    for cloud in [
+        points([[5, 5, 5]]),
+        points([[5, 5, 5]; 9]),
+        points([[0, 0, 0], [1, 2, 3], [2, 4, 6], [-3, -6, -9]]),
+        points([[0, 0, 0], [3, 0, 1], [0, 3, 1], [3, 3, 2], [6, 3, 3]]),
+    ] {
+        assert_eq!(Solid::hull(&cloud).unwrap_err(), InvalidSolid::Flat);
+    }
+}
+
+#[test]
+fn displaced_solids_are_hulls_of_displaced_points() {
+    for seed in 0..200 {
+        println!("seed {seed}");
+        let mut random = Random(seed);
+        let cloud: Vec<Point> = (0..12).map(|_| random.point(-5, 5)).collect();
+        let Ok(solid) = Solid::hull(&cloud) else {
+            continue;
+        };
+        let by = random.point(-1_000_000, 1_000_000).wide();
+        let moved: Vec<Point> = cloud.iter().map(|at| at.displaced(by).unwrap()).collect();
+        let displaced = solid.displaced(by).unwrap();
+        check_solid(&displaced);
+        assert_eq!(
+            description(&displaced),
+            description(&Solid::hull(&moved).unwrap())
+        );
+    }
+}
+
+/// Both positions of a solid's vertices.
+fn both_positions(solid: &Solid, from: Point, to: Point) -> Vec<Point> {
+    [from, to]
+        .iter()
+        .flat_map(|end| {
+            solid
+                .vertices()
+                .iter()
+                .map(|vertex| vertex.displaced(end.wide()).unwrap())
+        })
+        .collect()
+}
+
+#[test]
+fn sweeps_are_hulls_of_both_positions() {
+    for seed in 0..4000 {
+        println!("seed {seed}");
+        let mut random = Random(seed);
+        let size = random.within(1, 5);
+        let count = random.within(4, 20);
+        let cloud: Vec<Point> = (0..count).map(|_| random.point(0, size)).collect();
+        let Ok(solid) = Solid::hull(&cloud) else {
+            continue;
+        };
+        // Short ways along axes, facets and edges are the common case.
+        let (from, to) = (random.point(-2, 2), random.point(-2, 2));
+        let swept = solid.swept(from, to).unwrap();
+        check_solid(&swept);
+        let hull = Solid::hull(&both_positions(&solid, from, to)).unwrap();
+        assert_eq!(description(&swept), description(&hull));
+    }
+}
+
+#[test]
+fn sweeps_to_a_common_top_are_hulls_of_raised_positions() {
+    for seed in 0..2000 {
+        println!("seed {seed}");
+        let mut random = Random(seed);
+        // A prism with a pointed lower end.
+        let size = random.within(1, 4);
+        let height = random.within(1, 3);
+        let mut cloud = Vec::new();
+        for _ in 0..random.within(3, 9) {
+            let [x, y, _] = random.point(0, size).wide();
+            cloud.push(point([x, y, height]));
+            cloud.push(point([x, y, random.within(0, height - 1)]));
+        }
+        let Ok(solid) = Solid::hull(&cloud) else {
+            continue;
+        };
+        let (from, to) = (random.point(-2, 2), random.point(-2, 2));
+        let highest = height + from.wide()[2].max(to.wide()[2]);
+        let top = highest + random.within(0, 2);
+        match solid.swept_to_top(from, to, top as i32) {
+            Ok(swept) => {
+                assert!(solid.has_top());
+                check_solid(&swept);
+                let raised: Vec<Point> = solid
+                    .vertices()
+                    .iter()
+                    .filter(|vertex| vertex.wide()[2] == height)
+                    .flat_map(|vertex| {
+                        [from, to].map(|end| {
+                            let [x, y, _] = vertex.displaced(end.wide()).unwrap().wide();
+                            point([x, y, top])
+                        })
+                    })
+                    .collect();
+                let all = [both_positions(&solid, from, to), raised].concat();
+                assert_eq!(
+                    description(&swept),
+                    description(&Solid::hull(&all).unwrap())
+                );
+                let refused = solid
+                    .swept_to_top(from, to, (highest - 1) as i32)
+                    .unwrap_err();
+                let top = (highest - 1) as i32;
+                assert_eq!(
+                    refused,
+                    InvalidSweep::AboveTop {
+                        reached: highest,
+                        top
+                    }
+                );
+            }
+            Err(refused) => {
+                assert_eq!(refused, InvalidSweep::NoTop);
+                assert!(!solid.has_top());
+            }
+        }
+    }
+}
+
+#[test]
+fn sweeps_beyond_the_limits_are_refused() {
+    let solid = Solid::cuboid(Point::ORIGIN, point([10, 10, 10])).unwrap();
+    let end = point([0, EXTENT_MAX - 10, 0]);
+    check_solid(&solid.swept(Point::ORIGIN, end).unwrap());
+    let end = point([0, EXTENT_MAX - 9, 0]);
+    let refused = solid.swept(Point::ORIGIN, end).unwrap_err();
+    assert_eq!(
+        refused,
+        InvalidSolid::TooLong {
+            axis: 1,
+            steps: EXTENT_MAX + 1
+        }
+    );
+    let edge = point([0, 0, (1 << 30) - 9]);
+    let refused = solid.swept(edge, edge).unwrap_err();
+    assert!(matches!(refused, InvalidSolid::OutOfRange(fault) if fault.axis == 2));
+    // Of 4,096 vertices nearly all stay at one end or the other, and those of the silhouette at both.
+    let ball = Solid::hull(&sphere(VERTICES_MAX, 1_000_000.0)).unwrap();
+    let refused = ball.swept(Point::ORIGIN, point([10, 0, 0])).unwrap_err();
+    assert!(matches!(refused, InvalidSolid::TooManyVertices { count } if count > VERTICES_MAX));
+}
