@@ -13,14 +13,14 @@ use union3d::engine::{Cursor, Engine, Inconsistent, Op, Rejected, Side, page, re
 use union3d::geometry::{CubeId, Edge, EdgeKind, Effect, Place, Stock, Totals};
 
 /// An engine, and the plain map it must agree with.
-struct Twins {
+struct Compared {
     edge: Edge,
     stock: Option<Stock>,
     engines: Vec<Engine>,
     map: BTreeMap<CubeId, Place>,
 }
 
-impl Twins {
+impl Compared {
     /// One engine with bins of its own choice, one with fixed bins, one without special instructions and with wide sums.
     fn new(edge: i64, stock: Option<Stock>, bin_shift: u32) -> Self {
         let edge = Edge::new(edge).unwrap();
@@ -78,7 +78,7 @@ fn random_histories_agree_with_voxels_after_every_change() {
         let edge = random.within(1, 5);
         let world = edge + random.within(0, 6);
         let stock = (seed % 2 == 0).then(|| random_stock(&mut random, world / 2));
-        let mut twins = Twins::new(edge, stock, random.within(0, 4) as u32);
+        let mut compared = Compared::new(edge, stock, random.within(0, 4) as u32);
         for change in 0..random.within(8, 24) {
             let mut ops = Vec::new();
             for _ in 0..random.within(1, 3) {
@@ -86,25 +86,25 @@ fn random_histories_agree_with_voxels_after_every_change() {
                 let known = ops
                     .iter()
                     .any(|op| matches!(op, Op::Insert(other, _) if *other == id));
-                let present = twins.map.contains_key(&id);
+                let present = compared.map.contains_key(&id);
                 if !known && (present || random.below(4) == 0) {
                     ops.push(Op::Delete(id));
                 }
                 if !known && (!present || random.below(2) == 0) {
                     let corner = [0; 3].map(|_: i32| random.within(-world / 2, world / 2));
-                    ops.push(Op::Insert(id, Place::new(corner, twins.edge).unwrap()));
+                    ops.push(Op::Insert(id, Place::new(corner, compared.edge).unwrap()));
                 }
             }
-            twins.apply(&ops);
-            twins.check(|| {
+            compared.apply(&ops);
+            compared.check(|| {
                 format!(
                     "seed {seed}, change {change}, edge {edge}, stock {stock:?}, world {world}: {ops:?}"
                 )
             });
         }
-        let everything: Vec<Op> = twins.map.keys().map(|id| Op::Delete(*id)).collect();
-        twins.apply(&everything);
-        for engine in &twins.engines {
+        let everything: Vec<Op> = compared.map.keys().map(|id| Op::Delete(*id)).collect();
+        compared.apply(&everything);
+        for engine in &compared.engines {
             assert_eq!(
                 engine.totals(),
                 Totals::of_nothing(stock),
@@ -122,19 +122,19 @@ fn dense_histories_agree_with_voxels() {
         let edge = random.within(4, 9);
         let world = random.within(3, 9);
         let stock = (seed % 2 == 0).then(|| random_stock(&mut random, world));
-        let mut twins = Twins::new(edge, stock, 3);
+        let mut compared = Compared::new(edge, stock, 3);
         for change in 0..120u64 {
-            let delete =
-                twins.map.len() as u64 > 40 || (!twins.map.is_empty() && random.below(3) == 0);
+            let delete = compared.map.len() as u64 > 40
+                || (!compared.map.is_empty() && random.below(3) == 0);
             let op = if delete {
-                let index = random.below(twins.map.len() as u64) as usize;
-                Op::Delete(*twins.map.keys().nth(index).unwrap())
+                let index = random.below(compared.map.len() as u64) as usize;
+                Op::Delete(*compared.map.keys().nth(index).unwrap())
             } else {
                 let corner = [0; 3].map(|_: i32| random.within(0, world));
-                Op::Insert(CubeId(change), Place::new(corner, twins.edge).unwrap())
+                Op::Insert(CubeId(change), Place::new(corner, compared.edge).unwrap())
             };
-            twins.apply(&[op]);
-            twins.check(|| format!("seed {seed}, change {change}, {op:?}"));
+            compared.apply(&[op]);
+            compared.check(|| format!("seed {seed}, change {change}, {op:?}"));
         }
     }
 }
@@ -214,8 +214,8 @@ fn crowded_histories_agree_with_a_recount() {
     }
 }
 
-/// Crowds in which most cubes are hidden come and go for long: certificates are set, withdrawn, given up and begun again.
-/// The twin keeps none.
+/// Crowds in which most cubes are covered come and go for long: covered cells are marked, unmarked, given up and begun again.
+/// The plain engine keeps none.
 #[test]
 fn churning_crowds_agree_with_a_plain_engine() {
     for seed in 0..30 {
@@ -252,7 +252,7 @@ fn churning_crowds_agree_with_a_plain_engine() {
     }
 }
 
-/// Many cubes in one change, with ties and twins, come and go in small worlds: voxels agree, with every number of threads
+/// Many cubes in one change, with ties and duplicates, come and go in small worlds: voxels agree, with every number of threads
 /// and every width of bins.
 #[test]
 fn batches_agree_with_voxels() {

@@ -6,8 +6,8 @@ use super::Engine;
 
 /// Recounts the totals from the places of the cubes alone, sharing no state with any engine. O(cubes).
 ///
-/// Nothing is hidden from it that the online engine may have hidden: cubes come in another order, without deletions, and
-/// so through other neighbourhoods. It shares the kernel, whose own twin are the voxels of the tests.
+/// Cubes come to it in another order, without deletions, and so through other neighbourhoods and other covered cubes. It shares
+/// the kernel, whose own reference are the voxels of the tests.
 pub fn recount(edge: Edge, stock: Option<Stock>, cubes: impl Iterator<Item = Place>) -> Totals {
     let mut engine = Engine::new(edge).with_stock(stock);
     let inserted = cubes

@@ -1,7 +1,7 @@
 //! Many cubes at once: the same totals, with the work in an order that suits memory, and on several threads.
 //!
 //! What a set of cubes adds is the sum of what each adds to those *before* it, in any order of ranks. So a slice of the
-//! batch is put into the visible grid as a whole, and every cube is then evaluated against the grid alone, which nobody
+//! batch is put into the exposed grid as a whole, and every cube is then evaluated against the grid alone, which nobody
 //! changes meanwhile. The rank of a cube is its bin and its place in the bin, so it needs no memory:
 //!
 //! ```text
@@ -11,7 +11,7 @@
 //! ```
 //!
 //! Deletions are the same backwards: the cubes that go are made the last ones of their bins, evaluated, and removed.
-//! Cubes that add nothing move to the hidden grid after their slice. That leaves the union as it is: each is covered by
+//! Cubes that add nothing move to the covered grid after their slice. That leaves the union as it is: each is covered by
 //! cubes before it, those of them that move too are covered by cubes before them, and so on.
 
 use std::ops::Range;
@@ -20,10 +20,11 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use crate::geometry::{CubeId, Place};
 
 use super::access::Access;
-use super::grid::{Grid, Leaf, Settled};
+use super::grid::{BinAddress, CUBES_A_STEP, Grid, Settled};
 use super::marginal::{Difference, Kernel, Span};
 use super::neighbours::Neighbours;
-use super::scan::prefetch;
+use super::parallel::in_parallel;
+use super::prefetch::{AHEAD, prefetch};
 use super::{Engine, add, retract};
 
 /// From so many cubes on, ordering them pays.
@@ -32,13 +33,13 @@ pub(super) const BATCH_MIN: usize = 32;
 /// From so many cubes on, waking other threads pays: some milliseconds of work.
 const PARALLEL_MIN: usize = 1024;
 
-/// A slice is as large as what is visible already, so that in a crowd most of it is hidden without evaluation; but within
-/// these bounds. The greatest is what an index in the order can name.
+/// A slice has as many cubes as are exposed already, so that in a crowd most of them are found covered without evaluation; but
+/// within these bounds. The greatest is what an index in the order can name.
 const SLICE_MIN: usize = 4096;
 const SLICE_MAX: usize = 1 << INDEX_BITS;
 const INDEX_BITS: u32 = 22;
 
-/// Visible cubes that are deleted at once where many are hidden.
+/// Exposed cubes that are deleted at once where many are covered.
 const CROWD_SLICE: usize = 128;
 
 /// Bits of an axis in the order of bins.
@@ -47,9 +48,6 @@ const _: () = assert!(3 * AXIS_BITS + INDEX_BITS <= u64::BITS);
 
 /// Bins that a thread takes at a time.
 const BINS_AT_ONCE: usize = 16;
-
-/// Cubes ahead for which memory is asked for.
-pub(super) const AHEAD: usize = 8;
 
 /// What one thread needs to evaluate cubes; apart from that of another in memory, too.
 #[derive(Debug)]
@@ -75,14 +73,11 @@ struct Found {
     /// The sum of the differences.
     sum: Option<Difference>,
     /// Fresh cubes that change nothing; those of one bin one after the other, in the order of their index.
-    covered: Vec<(Leaf, usize)>,
-    /// Cubes that go and leave something bare, with the number of boxes around that.
-    bare: Vec<(Place, usize)>,
+    covered: Vec<(BinAddress, usize)>,
+    /// Cubes that go and uncover something, with the number of boxes around that.
+    uncovering: Vec<(Place, usize)>,
     boxes: Vec<Span>,
 }
-
-/// Cubes that one step puts into a grid or takes out of it.
-pub(super) const CUBES_A_STEP: usize = 256;
 
 /// So many cubes are put into a grid on several threads; and how many of them at a time are first brought together, then put in by
 /// one step, which takes a millisecond or two.
@@ -90,24 +85,24 @@ const FILL_MIN: usize = 1 << 16;
 const CUBES_AT_ONCE: usize = 1 << 18;
 const CUBES_A_LONG_STEP: usize = 1 << 14;
 
-/// Bins that one step makes ordinary ones again.
+/// Bins whose fresh cubes one step settles.
 const BINS_A_STEP: usize = 256;
 
-/// Changes for which one step looks after the certificates.
-const CERTIFICATES_A_STEP: usize = 64;
+/// Changes for which one step reviews the covered cells.
+const REVIEWS_A_STEP: usize = 64;
 
-/// Bins that one step divides or unites, and cubes for which it looks after the levels: each may move a hundred cubes.
+/// Bins that one step divides or unites, and cubes for which it continues a rehash: each may move a hundred cubes.
 const CROWDS_A_STEP: usize = 16;
 
 /// Inserts cubes whose ids are in the table already.
 pub(super) fn insert_batch(access: &impl Access, cubes: &[(CubeId, Place)]) {
     let mut rest = cubes;
     while !rest.is_empty() {
-        let visible = access.look(|engine| engine.visible.len());
-        let size = visible.clamp(SLICE_MIN, SLICE_MAX);
+        let exposed = access.look(|engine| engine.exposed.len());
+        let size = exposed.clamp(SLICE_MIN, SLICE_MAX);
         let (slice, after) = rest.split_at(size.min(rest.len()));
         insert_slice(access, slice);
-        review_certificates(access, slice.len());
+        review_covered_cells(access, slice.len());
         rest = after;
     }
 }
@@ -129,17 +124,17 @@ fn insert_slice(access: &impl Access, cubes: &[(CubeId, Place)]) {
         // From the last one back: what takes the place of a removed one has been looked at.
         for some in found.covered.rchunks(CUBES_A_STEP) {
             access.step(|engine| {
-                for &(leaf, index) in some.iter().rev() {
-                    let (place, id) = engine.visible.remove_fresh(leaf, index);
-                    engine.certificates.certify(place);
-                    engine.hidden.insert(place, id);
+                for &(address, index) in some.iter().rev() {
+                    let (place, id) = engine.exposed.remove_fresh(address, index);
+                    engine.covered_cells.mark(place);
+                    engine.covered.insert(place, id);
                 }
             });
         }
     }
-    if access.look(|engine| engine.certificates.are_kept()) {
+    if access.look(|engine| engine.covered_cells.are_kept()) {
         for some in touched.chunks(CROWDS_A_STEP) {
-            access.step(|engine| engine.certify_fresh(some));
+            access.step(|engine| engine.mark_fresh(some));
         }
     }
     settle(access, &touched);
@@ -147,20 +142,20 @@ fn insert_slice(access: &impl Access, cubes: &[(CubeId, Place)]) {
         access.step(|engine| {
             for &index in some {
                 let (id, place) = cubes[index];
-                engine.hidden.insert(place, id);
+                engine.covered.insert(place, id);
             }
         });
     }
     access.step(|engine| engine.helpers = helpers);
 }
 
-/// Puts the cubes of a slice into the visible grid; the bins in which they are.
-fn fill(access: &impl Access, plan: &Plan, cubes: &[(CubeId, Place)]) -> Vec<Leaf> {
+/// Puts the cubes of a slice into the exposed grid; the bins in which they are.
+fn fill(access: &impl Access, plan: &Plan, cubes: &[(CubeId, Place)]) -> Vec<BinAddress> {
     let mut touched = Vec::new();
     let mut some = Vec::with_capacity(CUBES_A_STEP);
     for first in (0..plan.order.len()).step_by(CUBES_A_STEP) {
-        plan.take(first, cubes, &mut some);
-        access.step(|engine| engine.visible.insert_fresh(&some, &mut touched));
+        plan.cubes_of_step(first, cubes, &mut some);
+        access.step(|engine| engine.exposed.insert_fresh(&some, &mut touched));
     }
     touched
 }
@@ -171,16 +166,16 @@ fn fill_in_parallel(
     plan: &Plan,
     cubes: &[(CubeId, Place)],
     threads: usize,
-) -> Vec<Leaf> {
+) -> Vec<BinAddress> {
     let mut touched = Vec::new();
     for some in plan.order.chunks(CUBES_AT_ONCE) {
         let mut shares: Vec<_> = some.chunks(some.len().div_ceil(threads)).collect();
-        let taken = in_parallel(&mut shares, |_, share| taken(share, cubes));
-        for some in taken
+        let ordered = in_parallel(&mut shares, |_, share| in_order(share, cubes));
+        for some in ordered
             .iter()
             .flat_map(|share| share.chunks(CUBES_A_LONG_STEP))
         {
-            access.step(|engine| engine.visible.insert_fresh_on(threads, some, &mut touched));
+            access.step(|engine| engine.exposed.insert_fresh_on(threads, some, &mut touched));
         }
     }
     touched
@@ -189,38 +184,38 @@ fn fill_in_parallel(
 /// Deletes cubes whose ids are no longer in the table.
 pub(super) fn delete_batch(access: &impl Access, cubes: &[(CubeId, Place)]) {
     for slice in cubes.chunks(SLICE_MAX) {
-        if access.look(|engine| engine.hidden.len() == 0) {
+        if access.look(|engine| engine.covered.len() == 0) {
             delete_slice(access, slice);
         } else {
-            let mut visible = Vec::with_capacity(slice.len());
+            let mut exposed = Vec::with_capacity(slice.len());
             for some in slice.chunks(CUBES_A_STEP) {
                 access.step(|engine| {
-                    let hidden = &mut engine.hidden;
-                    let shown = some
+                    let covered = &mut engine.covered;
+                    let rest = some
                         .iter()
-                        .filter(|(id, place)| !hidden.remove(*place, *id));
-                    visible.extend(shown.copied());
+                        .filter(|(id, place)| !covered.remove(*place, *id));
+                    exposed.extend(rest.copied());
                 });
             }
-            // In a crowd the first cubes promoted cover what the next deletions would lay bare: with many deletions at once
-            // each would look through all that is hidden around it.
-            let is_crowd = access.look(|engine| engine.hidden.len() * 8 > engine.visible.len());
+            // In a crowd the first cubes promoted cover what the next deletions would uncover: with many deletions at once
+            // each would look through all that is covered around it.
+            let is_crowd = access.look(|engine| engine.covered.len() * 8 > engine.exposed.len());
             let size = if is_crowd { CROWD_SLICE } else { SLICE_MAX };
-            for slice in visible.chunks(size) {
+            for slice in exposed.chunks(size) {
                 delete_slice(access, slice);
             }
         }
-        review_certificates(access, slice.len());
+        review_covered_cells(access, slice.len());
     }
 }
 
-/// Looks after the certificates, which so many changes have passed by.
-fn review_certificates(access: &impl Access, changes: usize) {
-    for first in (0..changes).step_by(CERTIFICATES_A_STEP) {
-        let some = CERTIFICATES_A_STEP.min(changes - first);
+/// Reviews the covered cells after so many changes.
+fn review_covered_cells(access: &impl Access, changes: usize) {
+    for first in (0..changes).step_by(REVIEWS_A_STEP) {
+        let some = REVIEWS_A_STEP.min(changes - first);
         let more = access.step(|engine| {
-            let (visible, hidden) = (&engine.visible, &engine.hidden);
-            engine.certificates.review(visible, hidden, some)
+            let (exposed, covered) = (&engine.exposed, &engine.covered);
+            engine.covered_cells.review(exposed, covered, some)
         });
         if !more {
             return;
@@ -228,7 +223,7 @@ fn review_certificates(access: &impl Access, changes: usize) {
     }
 }
 
-/// Deletes visible cubes.
+/// Deletes exposed cubes.
 fn delete_slice(access: &impl Access, cubes: &[(CubeId, Place)]) {
     let mut helpers = access.step(|engine| engine.take_helpers(cubes.len()));
     let plan = access.look(|engine| engine.order(&mut helpers, cubes));
@@ -237,23 +232,23 @@ fn delete_slice(access: &impl Access, cubes: &[(CubeId, Place)]) {
     for first in (0..plan.order.len()).step_by(CUBES_A_STEP) {
         access.step(|engine| {
             for at in plan.step(first) {
-                plan.prefetch(at, cubes, &engine.visible);
+                plan.prefetch(at, cubes, &engine.exposed);
                 let (id, place) = cubes[index_of(plan.order[at])];
-                if !engine.hand_over(id, place) {
-                    touched.extend(engine.visible.make_fresh(place, id));
+                if !engine.replace_by_duplicate(id, place) {
+                    touched.extend(engine.exposed.make_fresh(place, id));
                     count += 1;
                 }
             }
         });
     }
     let found = access.look(|engine| {
-        let boxes = engine.hidden.len() > 0;
+        let boxes = engine.covered.len() > 0;
         engine.evaluate(&mut helpers, &touched, count, boxes)
     });
     for some in touched.chunks(CROWDS_A_STEP) {
         access.step(|engine| {
-            for leaf in some {
-                engine.visible.remove_all_fresh(*leaf);
+            for address in some {
+                engine.exposed.remove_all_fresh(*address);
             }
         });
     }
@@ -264,19 +259,19 @@ fn delete_slice(access: &impl Access, cubes: &[(CubeId, Place)]) {
         }
         for some in found.boxes.chunks(CUBES_A_STEP) {
             access.step(|engine| {
-                for bare in some {
-                    engine.certificates.revoke(bare);
+                for uncovered in some {
+                    engine.covered_cells.unmark(uncovered);
                 }
             });
         }
     }
     for found in found {
         let mut boxes = found.boxes.as_slice();
-        for (place, count) in found.bare {
-            let (bare, after) = boxes.split_at(count);
+        for (place, count) in found.uncovering {
+            let (uncovered, after) = boxes.split_at(count);
             access.step(|engine| {
                 engine.work.uncovered.clear();
-                engine.work.uncovered.extend_from_slice(bare);
+                engine.work.uncovered.extend_from_slice(uncovered);
                 engine.promote(place);
             });
             boxes = after;
@@ -285,30 +280,31 @@ fn delete_slice(access: &impl Access, cubes: &[(CubeId, Place)]) {
     access.step(|engine| engine.helpers = helpers);
 }
 
-/// Makes the fresh cubes of some bins ordinary ones, and looks after these bins. They are no longer known afterwards.
-fn settle(access: &impl Access, touched: &[Leaf]) {
+/// Settles the fresh cubes of some bins, and divides or unites these bins where that is due. The addresses are not valid
+/// afterwards.
+fn settle(access: &impl Access, touched: &[BinAddress]) {
     let mut settled = Settled::default();
     for some in touched.chunks(BINS_A_STEP) {
-        access.step(|engine| engine.visible.settle(some, &mut settled));
+        access.step(|engine| engine.exposed.settle(some, &mut settled));
     }
     for some in settled.crowded.chunks(CROWDS_A_STEP) {
         access.step(|engine| {
-            for leaf in some {
-                engine.visible.divide_crowded(*leaf);
+            for address in some {
+                engine.exposed.divide_crowded(*address);
             }
         });
     }
     for some in settled.corners.chunks(CROWDS_A_STEP) {
         access.step(|engine| {
             for corner in some {
-                engine.visible.unite_sparse(*corner);
+                engine.exposed.unite_sparse(*corner);
             }
         });
     }
     for first in (0..=settled.cubes).step_by(CROWDS_A_STEP) {
         access.step(|engine| {
             for _ in first..(first + CROWDS_A_STEP).min(settled.cubes + 1) {
-                engine.visible.take_turn();
+                engine.exposed.continue_rehash();
             }
         });
     }
@@ -339,8 +335,13 @@ impl Plan {
         first..self.order.len().min(first + CUBES_A_STEP)
     }
 
-    /// The cubes of the step from `first` on, in order. Asks for the memory of those of the next step.
-    fn take(&self, first: usize, cubes: &[(CubeId, Place)], some: &mut Vec<(CubeId, Place)>) {
+    /// The cubes of the step from `first` on, in order. Prefetches those of the next step.
+    fn cubes_of_step(
+        &self,
+        first: usize,
+        cubes: &[(CubeId, Place)],
+        some: &mut Vec<(CubeId, Place)>,
+    ) {
         let step = self.step(first);
         for code in &self.order[self.step(step.end)] {
             prefetch(cubes, index_of(*code));
@@ -349,41 +350,46 @@ impl Plan {
         some.extend(self.order[step].iter().map(|code| cubes[index_of(*code)]));
     }
 
-    /// Asks for the memory that cubes some places later need.
+    /// Prefetches what cubes some places later need.
     #[inline]
-    fn prefetch(&self, at: usize, cubes: &[(CubeId, Place)], visible: &Grid) {
+    fn prefetch(&self, at: usize, cubes: &[(CubeId, Place)], exposed: &Grid) {
         if let Some(code) = self.order.get(at + 2 * AHEAD) {
             prefetch(cubes, index_of(*code));
         }
         if let Some(code) = self.order.get(at + AHEAD) {
-            visible.prefetch(cubes[index_of(*code)].1);
+            exposed.prefetch(cubes[index_of(*code)].1);
         }
     }
 }
 
 impl Engine {
-    /// Certifies the fresh cubes of some bins.
-    fn certify_fresh(&mut self, bins: &[Leaf]) {
-        let dense = bins.iter().filter(|leaf| self.visible.is_dense(**leaf));
-        for bin in dense.filter_map(|leaf| self.visible.bin(*leaf)) {
+    /// Marks the cells inside the fresh cubes of some bins as covered.
+    fn mark_fresh(&mut self, bins: &[BinAddress]) {
+        let dense = bins
+            .iter()
+            .filter(|address| self.exposed.is_dense(**address));
+        for bin in dense.filter_map(|address| self.exposed.bin(*address)) {
             for index in bin.len() - bin.fresh()..bin.len() {
                 let place = Place::from_checked(bin.corner(index));
-                self.certificates.certify(place);
+                self.covered_cells.mark(place);
             }
         }
     }
 
-    /// The order of cubes, without those that certificates cover.
+    /// The order of cubes, without those in covered cells.
     fn plan(&self, helpers: &mut [Helper], cubes: &[(CubeId, Place)]) -> Plan {
-        if !self.certificates.are_kept() {
+        if !self.covered_cells.are_kept() {
             return self.order(helpers, cubes);
         }
-        let (codes, size) = (Codes::of(&self.visible, cubes), self.share(cubes.len()));
+        let (codes, size) = (
+            Codes::of(&self.exposed, cubes),
+            self.cubes_a_thread(cubes.len()),
+        );
         Plan::of_parts(&mut helpers[..cubes.len().div_ceil(size)], |number| {
             let first = number * size;
             let mut plan = Plan::default();
             for (index, (_, place)) in cubes.iter().enumerate().skip(first).take(size) {
-                if self.certificates.covers(*place) {
+                if self.covered_cells.cover(*place) {
                     plan.covered.push(index);
                 } else {
                     plan.order.push(codes.code(*place, index));
@@ -396,7 +402,10 @@ impl Engine {
 
     /// The order of cubes.
     fn order(&self, helpers: &mut [Helper], cubes: &[(CubeId, Place)]) -> Plan {
-        let (codes, size) = (Codes::of(&self.visible, cubes), self.share(cubes.len()));
+        let (codes, size) = (
+            Codes::of(&self.exposed, cubes),
+            self.cubes_a_thread(cubes.len()),
+        );
         Plan::of_parts(&mut helpers[..cubes.len().div_ceil(size)], |number| {
             let part = cubes.iter().enumerate().skip(number * size).take(size);
             let codes = part.map(|(index, (_, place))| codes.code(*place, index));
@@ -410,7 +419,7 @@ impl Engine {
     }
 
     /// How many of so many cubes each thread takes.
-    pub(super) fn share(&self, count: usize) -> usize {
+    pub(super) fn cubes_a_thread(&self, count: usize) -> usize {
         let threads = if count < PARALLEL_MIN {
             1
         } else {
@@ -421,7 +430,7 @@ impl Engine {
 
     /// As many helpers as so many cubes need, or more; to be given back.
     pub(super) fn take_helpers(&mut self, count: usize) -> Vec<Helper> {
-        let needed = count.div_ceil(self.share(count));
+        let needed = count.div_ceil(self.cubes_a_thread(count));
         while self.helpers.len() < needed {
             self.helpers.push(Helper {
                 kernel: self.kernel.clone(),
@@ -432,17 +441,17 @@ impl Engine {
         std::mem::take(&mut self.helpers)
     }
 
-    /// Evaluates the fresh cubes, `count` in all, of the bins that have any; with the boxes around what they would leave
-    /// bare when asked to.
+    /// Evaluates the fresh cubes, `count` in all, of the bins that have any; with the boxes around what their deletion uncovers
+    /// when asked to.
     fn evaluate(
         &self,
         helpers: &mut [Helper],
-        touched: &[Leaf],
+        touched: &[BinAddress],
         count: usize,
         boxes: bool,
     ) -> Vec<Found> {
-        let size = self.share(count);
-        let visible = &self.visible;
+        let size = self.cubes_a_thread(count);
+        let exposed = &self.exposed;
         let next = AtomicUsize::new(0);
         in_parallel(&mut helpers[..count.div_ceil(size)], |_, helper| {
             let mut found = Found::default();
@@ -451,8 +460,8 @@ impl Engine {
                 let Some(rest) = touched.get(first..).filter(|rest| !rest.is_empty()) else {
                     return found;
                 };
-                for leaf in rest.iter().take(BINS_AT_ONCE) {
-                    found.add_bin(visible, *leaf, helper, boxes);
+                for address in rest.iter().take(BINS_AT_ONCE) {
+                    found.add_bin(exposed, *address, helper, boxes);
                 }
             }
         })
@@ -460,11 +469,11 @@ impl Engine {
 }
 
 impl Found {
-    fn add_bin(&mut self, visible: &Grid, leaf: Leaf, helper: &mut Helper, boxes: bool) {
-        let bin = visible.bin(leaf).expect("a touched bin has fresh cubes");
+    fn add_bin(&mut self, exposed: &Grid, address: BinAddress, helper: &mut Helper, boxes: bool) {
+        let bin = exposed.bin(address).expect("a touched bin has fresh cubes");
         for index in bin.len() - bin.fresh()..bin.len() {
             let place = Place::from_checked(bin.corner(index));
-            visible.gather_before(leaf, index, place.corner(), &mut helper.neighbours);
+            exposed.gather_before(address, index, place.corner(), &mut helper.neighbours);
             let changes = if boxes {
                 let (neighbours, uncovered) = (&helper.neighbours, &mut helper.uncovered);
                 helper.kernel.uncovered(place, neighbours, uncovered)
@@ -472,7 +481,7 @@ impl Found {
                 helper.kernel.marginal(place, &helper.neighbours)
             };
             if !changes {
-                self.covered.push((leaf, index));
+                self.covered.push((address, index));
                 continue;
             }
             let found = helper.kernel.found();
@@ -481,7 +490,7 @@ impl Found {
                 Some(sum) => sum.add(found),
             }
             if boxes {
-                self.bare.push((place, helper.uncovered.len()));
+                self.uncovering.push((place, helper.uncovered.len()));
                 self.boxes.extend_from_slice(&helper.uncovered);
             }
         }
@@ -495,32 +504,6 @@ impl Difference {
             sum.add(part);
         }
     }
-}
-
-/// Runs a task once for each state, the first on this thread, the others each on one of its own.
-///
-/// The threads are started for the task: some tens of microseconds, against a pool in which it would wait for the million
-/// cubes of another scene.
-pub(super) fn in_parallel<S: Send, T: Send>(
-    states: &mut [S],
-    task: impl Fn(usize, &mut S) -> T + Sync,
-) -> Vec<T> {
-    let Some((own, others)) = states.split_first_mut() else {
-        return Vec::new();
-    };
-    std::thread::scope(|scope| {
-        let task = &task;
-        let others: Vec<_> = others
-            .iter_mut()
-            .zip(1..)
-            .map(|(state, number)| scope.spawn(move || task(number, state)))
-            .collect();
-        let mut results = vec![task(0, own)];
-        for other in others {
-            results.push(other.join().expect("a task that fails ends the change"));
-        }
-        results
-    })
 }
 
 /// Numbers that put cubes in the order of a curve through the bins (Morton's), so that neighbours come near each other.
@@ -562,7 +545,7 @@ impl Codes {
 }
 
 /// Cubes in an order.
-fn taken(order: &[u64], cubes: &[(CubeId, Place)]) -> Vec<(CubeId, Place)> {
+fn in_order(order: &[u64], cubes: &[(CubeId, Place)]) -> Vec<(CubeId, Place)> {
     let cube = |(at, code): (usize, &u64)| {
         if let Some(ahead) = order.get(at + 2 * AHEAD) {
             prefetch(cubes, index_of(*ahead));

@@ -11,9 +11,10 @@ use crate::geometry::{CUBES_MAX, CubeId, Effect, Place};
 
 use super::Engine;
 use super::access::Access;
-use super::batch::{AHEAD, Helper, in_parallel};
+use super::batch::Helper;
 use super::ids::{IdTable, PARTS};
-use super::scan::prefetch;
+use super::parallel::in_parallel;
+use super::prefetch::{AHEAD, prefetch};
 
 /// Changes a part, on average, from which on it pays to start threads.
 const CHANGES_MIN: usize = 1024;
@@ -74,7 +75,7 @@ impl Engine {
 pub(super) fn change_ids(access: &impl Access, effect: &Effect) -> bool {
     let count = effect.deleted.len() + effect.inserted.len();
     let mut helpers = access.step(|engine| engine.take_helpers(count));
-    let size = access.look(|engine| engine.share(count));
+    let size = access.look(|engine| engine.cubes_a_thread(count));
     let helping = &mut helpers[..count.div_ceil(size)];
     let [deleted, inserted] =
         [&effect.deleted, &effect.inserted].map(|cubes| ByPart::of(cubes, helping));

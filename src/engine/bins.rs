@@ -13,7 +13,8 @@
 use crate::geometry::CubeId;
 
 use super::neighbours::LANES;
-use super::scan::{Avx2, Corners, prefetch, within};
+use super::prefetch::prefetch;
+use super::scan::{Avx2, Corners, within};
 
 /// Which bin: the coordinates of its cubes, shifted.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
@@ -160,7 +161,7 @@ impl Bin {
         }
     }
 
-    /// Asks for the memory of the corners; a divided bin has none, however many cubes it counts.
+    /// Prefetches the corners; a divided bin has none, however many cubes it counts.
     #[inline]
     pub(super) fn prefetch(&self) {
         const LINE: usize = 16;
@@ -173,7 +174,7 @@ impl Bin {
         }
     }
 
-    /// Asks for the memory in which the next cube is put.
+    /// Prefetches where the next cube is put.
     #[inline]
     pub(super) fn prefetch_end(&self) {
         let capacity = self.capacity();
@@ -322,7 +323,7 @@ impl Bins {
         Some(&mut table.slots[slot])
     }
 
-    /// Asks for the slot where the bin of this hash begins to be looked for.
+    /// Prefetches the slot where the search for the bin of this hash begins.
     #[inline]
     pub(super) fn prefetch(&self, hash: u64) {
         let table = &self.tables[table_of(hash)];
@@ -348,7 +349,7 @@ impl Bins {
             .expect("a divided bin is above the others");
         debug_assert!(bin.is_divided(), "cubes are in one bin each");
         if bin.len == 1 {
-            self.take(key);
+            self.remove(key);
         } else {
             bin.len -= 1;
         }
@@ -411,8 +412,8 @@ impl Bins {
         self.divided += 1;
     }
 
-    /// Takes a bin away.
-    pub(super) fn take(&mut self, key: BinKey) -> Option<Bin> {
+    /// Removes a bin.
+    pub(super) fn remove(&mut self, key: BinKey) -> Option<Bin> {
         let hash = key.hash();
         let table = &mut self.tables[table_of(hash)];
         let slot = table.find(key, hash).ok()?;
@@ -432,7 +433,7 @@ impl Bins {
             .expect("the cube was found in the bin");
         let bin = &mut table.slots[slot];
         if bin.len == 1 {
-            self.take(key);
+            self.remove(key);
             return 0;
         }
         let words = bin.words.len();
@@ -527,7 +528,7 @@ impl Share<'_> {
         prefetch(&table.slots, table.home(hash));
     }
 
-    /// Asks for the memory in which the next cube of a bin is put.
+    /// Prefetches where the next cube of a bin is put.
     #[inline]
     pub(super) fn prefetch_end(&self, key: BinKey, hash: u64) {
         let table = &self.tables[table_of(hash) - self.first];
@@ -646,7 +647,7 @@ impl Table {
         slot
     }
 
-    /// Takes a bin away. Those behind it that would rather be here move up, so that no trace of it is left.
+    /// Removes a bin. Those behind it whose home is not behind the gap move up, so that no trace of it is left.
     fn remove(&mut self, slot: usize) -> Bin {
         let count = self.slots.len();
         let mut gap = slot;

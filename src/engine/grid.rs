@@ -10,17 +10,17 @@
 //! decide time and space, never a result.
 //!
 //! When most bins of level 0 are divided, it is given up; when there are few cubes in a bin, a wider level is put before
-//! it. Both are done a few bins at a time with every change, so that no change waits for all of them.
+//! it. Either is an incremental rehash, a few bins with every change, so that no change waits for all of them.
 
 use std::cmp::Ordering;
 use std::ops::{ControlFlow, Range};
 
 use crate::geometry::{Bounds, CubeId, Edge, Place};
 
-use super::batch::{CUBES_A_STEP, in_parallel};
 use super::bins::{Bin, BinKey, Bins, CubeWalk, Share, Walk};
 use super::extents::{Along, Extents};
 use super::neighbours::Neighbours;
+use super::parallel::in_parallel;
 use super::scan::{Avx2, collect};
 
 /// Cubes by where they are.
@@ -33,7 +33,7 @@ pub(super) struct Grid {
     shift: u32,
     /// The least shift that crowds may bring; none when the bins are fixed.
     narrowest: Option<u32>,
-    turn: Turn,
+    rehash: Rehash,
     avx2: Option<Avx2>,
     len: usize,
     /// Numbers of cubes below and above which the bins are looked at again.
@@ -41,28 +41,29 @@ pub(super) struct Grid {
     extents: Extents,
 }
 
-/// What is done to level 0 a little at a time.
+/// The incremental rehash of level 0 that is under way.
 #[derive(Clone, Copy, Debug)]
-enum Turn {
+enum Rehash {
     /// Nothing.
-    Rest,
+    Idle,
     /// It is being divided, to be given up.
     Narrow(Walk),
-    /// It is new, and some bins of level 1, this many, are not below any of its bins yet.
+    /// It is new, and so many bins of level 1 are not below any of its bins yet.
     Widen(Walk, usize),
 }
 
-/// An undivided bin.
+/// Where an undivided bin is.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Leaf {
+pub(super) struct BinAddress {
     level: usize,
     key: BinKey,
 }
 
-/// What is to be looked after once a batch is in the bins: crowded ones first, then sparse ones, then the levels.
+/// What is due once the fresh cubes of a batch are settled: first to divide the crowded bins, then to unite the sparse ones, then
+/// to continue the rehash for each cube.
 #[derive(Default)]
 pub(super) struct Settled {
-    pub(super) crowded: Vec<Leaf>,
+    pub(super) crowded: Vec<BinAddress>,
     pub(super) corners: Vec<[i32; 3]>,
     /// How many cubes of the batch stayed.
     pub(super) cubes: usize,
@@ -84,7 +85,10 @@ struct Run {
     range: Range<usize>,
 }
 
-/// Runs whose memory is asked for at the same time.
+/// Cubes that one step puts into a grid or removes from it.
+pub(super) const CUBES_A_STEP: usize = 256;
+
+/// Runs that are prefetched together.
 const RUNS_AT_ONCE: usize = 128;
 
 /// More cubes in a bin than this, and it is divided.
@@ -106,8 +110,8 @@ const SHIFT_ABOVE_EDGE: u32 = 2;
 /// Bins that a query looks for at the same time.
 const BINS_AT_ONCE: usize = 8;
 
-/// Bins that one change divides or puts below others.
-const BINS_A_TURN: usize = 2;
+/// Bins that one change rehashes.
+const BINS_A_CHANGE: usize = 2;
 
 impl Grid {
     /// A grid for queries that reach an edge to both sides. Crowded bins become as narrow as one or two edges: a query
@@ -141,7 +145,7 @@ impl Grid {
             levels: vec![Bins::new()],
             shift,
             narrowest,
-            turn: Turn::Rest,
+            rehash: Rehash::Idle,
             avx2: Avx2::detect(),
             len: 0,
             review: [0, REVIEW_MIN],
@@ -161,41 +165,41 @@ impl Grid {
 
     pub(super) fn insert(&mut self, place: Place, id: CubeId) {
         let corner = place.corner();
-        let leaf = self.leaf_for(corner);
-        let crowd = self.levels[leaf.level].push(leaf.key, corner, id);
+        let address = self.address_for(corner);
+        let crowd = self.levels[address.level].push(address.key, corner, id);
         self.len += 1;
         self.extents.insert(corner, self.len == 1);
         if crowd > CROWD_MAX {
-            self.divide_crowded(leaf);
+            self.divide_crowded(address);
         }
-        self.take_turn();
+        self.continue_rehash();
     }
 
     /// Removes a cube; false when it is not here.
     pub(super) fn remove(&mut self, place: Place, id: CubeId) -> bool {
         let corner = place.corner();
-        self.adopt(self.key(0, corner));
-        let Some((leaf, index)) = self.find(corner, Some(id)) else {
+        self.rehash_key(self.key(0, corner));
+        let Some((address, index)) = self.find(corner, Some(id)) else {
             return false;
         };
-        self.remove_at(leaf, index);
+        self.remove_at(address, index);
         self.unite_sparse(corner);
-        self.take_turn();
+        self.continue_rehash();
         true
     }
 
     /// Id of some cube at exactly this place.
     pub(super) fn at(&self, place: Place) -> Option<CubeId> {
-        let (leaf, index) = self.find(place.corner(), None)?;
-        Some(self.bin(leaf)?.id(index))
+        let (address, index) = self.find(place.corner(), None)?;
+        Some(self.bin(address)?.id(index))
     }
 
     /// Gives the cube `from` at `place` another id; false when it is not here.
     pub(super) fn rename(&mut self, place: Place, from: CubeId, to: CubeId) -> bool {
-        let Some((leaf, index)) = self.find(place.corner(), Some(from)) else {
+        let Some((address, index)) = self.find(place.corner(), Some(from)) else {
             return false;
         };
-        self.bin_mut(leaf).set_id(index, to);
+        self.bin_mut(address).set_id(index, to);
         true
     }
 
@@ -228,14 +232,14 @@ impl Grid {
     /// The same without the cubes that come after the cube at `index` of a bin, nor that cube itself: see `batch`.
     pub(super) fn gather_before(
         &self,
-        leaf: Leaf,
+        address: BinAddress,
         index: usize,
         corner: [i32; 3],
         neighbours: &mut Neighbours,
     ) {
-        let own = self.corner_of(leaf);
-        self.gather_of(corner, neighbours, |leaf, bin| {
-            match self.corner_of(leaf).cmp(&own) {
+        let own = self.corner_of(address);
+        self.gather_of(corner, neighbours, |address, bin| {
+            match self.corner_of(address).cmp(&own) {
                 Ordering::Less => bin.len(),
                 Ordering::Equal => index,
                 Ordering::Greater => bin.len() - bin.fresh(),
@@ -249,13 +253,13 @@ impl Grid {
         &self,
         corner: [i32; 3],
         neighbours: &mut Neighbours,
-        count: impl Fn(Leaf, &Bin) -> usize,
+        count: impl Fn(BinAddress, &Bin) -> usize,
     ) {
         neighbours.clear();
         let min = corner.map(|coordinate| coordinate - self.edge);
         let max = corner.map(|coordinate| coordinate + self.edge);
-        self.visit_bins(min, max, &mut |leaf, bin| {
-            let count = count(leaf, bin);
+        self.visit_bins(min, max, &mut |address, bin| {
+            let count = count(address, bin);
             let corners = bin.corners();
             collect(self.avx2, corners, count, corner, self.edge, neighbours);
             false
@@ -312,13 +316,13 @@ impl Grid {
         self.shift
     }
 
-    /// Asks for the memory in which the bin of a cube is looked for.
+    /// Prefetches where the search for the bin of a cube begins.
     #[inline]
     pub(super) fn prefetch(&self, place: Place) {
         self.levels[0].prefetch(self.key(0, place.corner()).hash());
     }
 
-    /// Asks for the memory in which the bin of a cube is looked for, on all levels.
+    /// Prefetches where the search for the bin of a cube begins, on all levels.
     #[inline]
     pub(super) fn prefetch_levels(&self, place: Place) {
         for (level, bins) in self.levels.iter().enumerate() {
@@ -326,7 +330,7 @@ impl Grid {
         }
     }
 
-    /// Asks for the memory in which a cube is put.
+    /// Prefetches where a cube is put.
     #[inline]
     pub(super) fn prefetch_end(&self, place: Place) {
         for (level, bins) in self.levels.iter().enumerate() {
@@ -338,8 +342,7 @@ impl Grid {
         }
     }
 
-    /// Asks for the memory in which the bins around a cube are looked for, on the level that has most of them, where these are
-    /// few.
+    /// Prefetches where the search for the bins around a cube begins, on the level that has most of them, where these are few.
     #[inline]
     pub(super) fn prefetch_around(&self, place: Place) {
         let levels = self.levels.iter().enumerate();
@@ -363,14 +366,18 @@ impl Grid {
     }
 
     /// Inserts cubes of a batch, best those of one bin one after the other, and notes the bins in which they are the first.
-    pub(super) fn insert_fresh(&mut self, cubes: &[(CubeId, Place)], touched: &mut Vec<Leaf>) {
+    pub(super) fn insert_fresh(
+        &mut self,
+        cubes: &[(CubeId, Place)],
+        touched: &mut Vec<BinAddress>,
+    ) {
         self.prefetch_all(cubes);
         let mut cubes = cubes.iter().peekable();
         while let Some((_, place)) = cubes.peek() {
-            let leaf = self.leaf_for(place.corner());
-            let shift = shift_of(self.shift, leaf.level);
+            let address = self.address_for(place.corner());
+            let shift = shift_of(self.shift, address.level);
             // Each cube is counted in the divided bins above it.
-            let mut most = if leaf.level == 0 { usize::MAX } else { 1 };
+            let mut most = if address.level == 0 { usize::MAX } else { 1 };
             let Self {
                 levels,
                 extents,
@@ -380,14 +387,14 @@ impl Grid {
             let run = std::iter::from_fn(|| {
                 most = most.checked_sub(1)?;
                 let is_here =
-                    |place: &Place| place.corner().map(|part| part >> shift) == leaf.key.0;
+                    |place: &Place| place.corner().map(|part| part >> shift) == address.key.0;
                 let (id, place) = cubes.next_if(|(_, place)| is_here(place))?;
                 *len += 1;
                 extents.insert(place.corner(), *len == 1);
                 Some((place.corner(), *id))
             });
-            if levels[leaf.level].push_fresh(leaf.key, run) {
-                touched.push(leaf);
+            if levels[address.level].push_fresh(address.key, run) {
+                touched.push(address);
             }
         }
     }
@@ -397,9 +404,9 @@ impl Grid {
         &mut self,
         threads: usize,
         cubes: &[(CubeId, Place)],
-        touched: &mut Vec<Leaf>,
+        touched: &mut Vec<BinAddress>,
     ) {
-        if self.len == 0 || matches!(self.turn, Turn::Widen(..)) {
+        if self.len == 0 || matches!(self.rehash, Rehash::Widen(..)) {
             for some in cubes.chunks(CUBES_A_STEP) {
                 self.insert_fresh(some, touched);
             }
@@ -427,8 +434,11 @@ impl Grid {
             }
             ranges.clear();
             for filled in filled {
-                let leaves = filled.touched.into_iter().map(|key| Leaf { level, key });
-                touched.extend(leaves);
+                let addresses = filled
+                    .touched
+                    .into_iter()
+                    .map(|key| BinAddress { level, key });
+                touched.extend(addresses);
                 ranges.extend(filled.divided);
             }
             if ranges.is_empty() {
@@ -438,8 +448,8 @@ impl Grid {
         debug_assert!(ranges.is_empty(), "the last level has no divided bins");
     }
 
-    /// Asks for the memory in which the bins of cubes are looked for, then for that of their next cubes: so the waiting for one
-    /// overlaps with that for the others.
+    /// Prefetches where the search for the bins of cubes begins, then where the next cubes of these bins are put: so the waits
+    /// overlap.
     fn prefetch_all(&self, cubes: &[(CubeId, Place)]) {
         let bins = &self.levels[0];
         let keys = cubes.iter().map(|(_, place)| self.key(0, place.corner()));
@@ -457,44 +467,44 @@ impl Grid {
     }
 
     /// Moves a cube behind those of its bin that stay; the bin when it is the first one there.
-    pub(super) fn make_fresh(&mut self, place: Place, id: CubeId) -> Option<Leaf> {
+    pub(super) fn make_fresh(&mut self, place: Place, id: CubeId) -> Option<BinAddress> {
         let corner = place.corner();
-        self.adopt(self.key(0, corner));
+        self.rehash_key(self.key(0, corner));
         let found = self.find(corner, Some(id));
-        let (leaf, index) = found.expect("a cube that is not hidden is visible");
-        let bin = self.bin_mut(leaf);
+        let (address, index) = found.expect("a cube that is not covered is exposed");
+        let bin = self.bin_mut(address);
         let fresh = bin.fresh() + 1;
         bin.swap(index, bin.len() - fresh);
         bin.set_fresh(fresh);
-        (fresh == 1).then_some(leaf)
+        (fresh == 1).then_some(address)
     }
 
     /// Removes one of the fresh cubes of a bin.
-    pub(super) fn remove_fresh(&mut self, leaf: Leaf, index: usize) -> (Place, CubeId) {
-        let bin = self.bin_mut(leaf);
+    pub(super) fn remove_fresh(&mut self, address: BinAddress, index: usize) -> (Place, CubeId) {
+        let bin = self.bin_mut(address);
         let (corner, id) = (bin.corner(index), bin.id(index));
         bin.set_fresh(bin.fresh() - 1);
-        self.remove_at(leaf, index);
+        self.remove_at(address, index);
         (Place::from_checked(corner), id)
     }
 
     /// Removes all fresh cubes of a bin.
-    pub(super) fn remove_all_fresh(&mut self, leaf: Leaf) {
-        while let Some(bin) = self.bin(leaf).filter(|bin| bin.fresh() > 0) {
-            self.remove_fresh(leaf, bin.len() - 1);
+    pub(super) fn remove_all_fresh(&mut self, address: BinAddress) {
+        while let Some(bin) = self.bin(address).filter(|bin| bin.fresh() > 0) {
+            self.remove_fresh(address, bin.len() - 1);
         }
     }
 
-    /// Makes the fresh cubes of some bins ordinary ones, and notes what is to be looked after then.
-    pub(super) fn settle(&mut self, leaves: &[Leaf], settled: &mut Settled) {
-        for leaf in leaves {
-            settled.corners.push(self.corner_of(*leaf));
-            if self.bin(*leaf).is_some() {
-                let bin = self.bin_mut(*leaf);
+    /// Settles the fresh cubes of some bins, and notes what is due then.
+    pub(super) fn settle(&mut self, addresses: &[BinAddress], settled: &mut Settled) {
+        for address in addresses {
+            settled.corners.push(self.corner_of(*address));
+            if self.bin(*address).is_some() {
+                let bin = self.bin_mut(*address);
                 settled.cubes += bin.fresh();
                 bin.set_fresh(0);
                 if bin.len() > CROWD_MAX {
-                    settled.crowded.push(*leaf);
+                    settled.crowded.push(*address);
                 }
             }
         }
@@ -507,7 +517,7 @@ impl Grid {
         loop {
             let key = self.key(level, place.corner());
             match self.levels[level].get(key) {
-                Some(bin) if !bin.is_divided() => return self.is_dense(Leaf { level, key }),
+                Some(bin) if !bin.is_divided() => return self.is_dense(BinAddress { level, key }),
                 None if !self.may_be_below(level) => return false,
                 Some(_) | None => level += 1,
             }
@@ -515,28 +525,28 @@ impl Grid {
     }
 
     /// The same for a bin.
-    pub(super) fn is_dense(&self, leaf: Leaf) -> bool {
-        let cubes = self.bin(leaf).map_or(0, Bin::len) as u128;
+    pub(super) fn is_dense(&self, address: BinAddress) -> bool {
+        let cubes = self.bin(address).map_or(0, Bin::len) as u128;
         let edge = u128::from(self.edge.unsigned_abs());
-        let side = 1 << shift_of(self.shift, leaf.level);
+        let side = 1 << shift_of(self.shift, address.level);
         cubes * edge.pow(3) >= u128::pow(side, 3)
     }
 
     /// An undivided bin, if it is there.
-    pub(super) fn bin(&self, leaf: Leaf) -> Option<&Bin> {
-        self.levels[leaf.level].get(leaf.key)
+    pub(super) fn bin(&self, address: BinAddress) -> Option<&Bin> {
+        self.levels[address.level].get(address.key)
     }
 
-    fn bin_mut(&mut self, leaf: Leaf) -> &mut Bin {
-        let bin = self.levels[leaf.level].get_mut(leaf.key);
+    fn bin_mut(&mut self, address: BinAddress) -> &mut Bin {
+        let bin = self.levels[address.level].get_mut(address.key);
         bin.expect("the bin has been found")
     }
 
     /// The least corner of a bin: bins that hold cubes do not overlap, so it tells them apart and puts them in order.
     #[inline]
-    fn corner_of(&self, leaf: Leaf) -> [i32; 3] {
-        let shift = shift_of(self.shift, leaf.level);
-        leaf.key.0.map(|layer| layer << shift)
+    fn corner_of(&self, address: BinAddress) -> [i32; 3] {
+        let shift = shift_of(self.shift, address.level);
+        address.key.0.map(|layer| layer << shift)
     }
 
     #[inline]
@@ -546,26 +556,26 @@ impl Grid {
 
     /// The undivided bin for a cube that comes, which is counted in the divided ones above it.
     #[inline]
-    fn leaf_for(&mut self, corner: [i32; 3]) -> Leaf {
+    fn address_for(&mut self, corner: [i32; 3]) -> BinAddress {
         let mut level = 0;
         let mut key = self.key(level, corner);
-        self.adopt(key);
+        self.rehash_key(key);
         while self.levels[level].count_in(key) {
             level += 1;
             key = self.key(level, corner);
         }
-        Leaf { level, key }
+        BinAddress { level, key }
     }
 
     /// The bin and the index in it of a cube at `corner`, of this id if one is given.
-    fn find(&self, corner: [i32; 3], id: Option<CubeId>) -> Option<(Leaf, usize)> {
+    fn find(&self, corner: [i32; 3], id: Option<CubeId>) -> Option<(BinAddress, usize)> {
         let mut level = 0;
         loop {
             let key = self.key(level, corner);
             match self.levels[level].get(key) {
                 Some(bin) if !bin.is_divided() => {
                     let index = bin.position(self.avx2, corner, id)?;
-                    return Some((Leaf { level, key }, index));
+                    return Some((BinAddress { level, key }, index));
                 }
                 None if !self.may_be_below(level) => return None,
                 Some(_) | None => level += 1,
@@ -576,13 +586,13 @@ impl Grid {
     /// Whether cubes may be in the next level although this one has no bin for them.
     #[inline]
     fn may_be_below(&self, level: usize) -> bool {
-        level == 0 && matches!(self.turn, Turn::Widen(..))
+        level == 0 && matches!(self.rehash, Rehash::Widen(..))
     }
 
-    fn remove_at(&mut self, leaf: Leaf, index: usize) {
-        let corner = self.bin_mut(leaf).corner(index);
-        self.levels[leaf.level].swap_remove(leaf.key, index);
-        for level in 0..leaf.level {
+    fn remove_at(&mut self, address: BinAddress, index: usize) {
+        let corner = self.bin_mut(address).corner(index);
+        self.levels[address.level].swap_remove(address.key, index);
+        for level in 0..address.level {
             let key = self.key(level, corner);
             self.levels[level].count_out(key);
         }
@@ -591,13 +601,13 @@ impl Grid {
     }
 
     /// Calls `visit` with every bin that has a part in the box, until it answers true; true then. Several bins at a time are
-    /// looked for and their memory asked for before the first of them is visited, so that waiting for it overlaps.
+    /// looked for and prefetched before the first of them is visited, so that the waits overlap.
     #[inline]
     fn visit_bins<'a>(
         &'a self,
         min: [i32; 3],
         max: [i32; 3],
-        visit: &mut impl FnMut(Leaf, &'a Bin) -> bool,
+        visit: &mut impl FnMut(BinAddress, &'a Bin) -> bool,
     ) -> bool {
         let (first, last) = (self.key(0, min), self.key(0, max));
         self.visit_level(0, [first, last], [min, max], visit)
@@ -609,7 +619,7 @@ impl Grid {
         level: usize,
         [first, last]: [BinKey; 2],
         within: [[i32; 3]; 2],
-        visit: &mut impl FnMut(Leaf, &'a Bin) -> bool,
+        visit: &mut impl FnMut(BinAddress, &'a Bin) -> bool,
     ) -> bool {
         let bins = &self.levels[level];
         let mut next = first.0;
@@ -634,7 +644,7 @@ impl Grid {
             }
             for ((key, _), found) in keys[..count].iter().zip(found) {
                 let stop = match found {
-                    Some(bin) if !bin.is_divided() => visit(Leaf { level, key: *key }, bin),
+                    Some(bin) if !bin.is_divided() => visit(BinAddress { level, key: *key }, bin),
                     None if !self.may_be_below(level) => false,
                     Some(_) | None => self.visit_below(level + 1, *key, within, visit),
                 };
@@ -653,7 +663,7 @@ impl Grid {
         level: usize,
         above: BinKey,
         [min, max]: [[i32; 3]; 2],
-        visit: &mut impl FnMut(Leaf, &'a Bin) -> bool,
+        visit: &mut impl FnMut(BinAddress, &'a Bin) -> bool,
     ) -> bool {
         let (mut first, mut last) = (self.key(level, min), self.key(level, max));
         for axis in 0..3 {
@@ -666,23 +676,23 @@ impl Grid {
 
     /// Divides a bin, and those it is divided into as long as they are crowded, unless bins must not be so narrow.
     #[cold]
-    pub(super) fn divide_crowded(&mut self, leaf: Leaf) {
-        let shift = shift_of(self.shift, leaf.level);
+    pub(super) fn divide_crowded(&mut self, address: BinAddress) {
+        let shift = shift_of(self.shift, address.level);
         if self.narrowest.is_none_or(|narrowest| shift <= narrowest) {
             return;
         }
-        let crowded = self.divide(leaf);
-        for leaf in crowded {
-            self.divide_crowded(leaf);
+        let crowded = self.divide(address);
+        for address in crowded {
+            self.divide_crowded(address);
         }
     }
 
     /// Divides a bin; those it is divided into that are crowded.
-    fn divide(&mut self, leaf: Leaf) -> Vec<Leaf> {
-        let bins = &mut self.levels[leaf.level];
-        let bin = bins.take(leaf.key).expect("the bin has been found");
-        bins.divide(leaf.key, bin.len());
-        let level = leaf.level + 1;
+    fn divide(&mut self, address: BinAddress) -> Vec<BinAddress> {
+        let bins = &mut self.levels[address.level];
+        let bin = bins.remove(address.key).expect("the bin has been found");
+        bins.divide(address.key, bin.len());
+        let level = address.level + 1;
         if level == self.levels.len() {
             self.levels.push(Bins::new());
         }
@@ -691,7 +701,7 @@ impl Grid {
             let key = self.key(level, bin.corner(index));
             let crowd = self.levels[level].push(key, bin.corner(index), bin.id(index));
             if crowd == CROWD_MAX + 1 {
-                crowded.push(Leaf { level, key });
+                crowded.push(BinAddress { level, key });
             }
         }
         crowded
@@ -714,22 +724,22 @@ impl Grid {
     /// Makes a divided bin undivided.
     #[cold]
     fn unite(&mut self, level: usize, key: BinKey) {
-        let bin = self.levels[level].take(key);
+        let bin = self.levels[level].remove(key);
         debug_assert!(
             bin.is_some_and(|bin| bin.is_divided()),
             "the bin has been found"
         );
-        self.take_below(level, key, level, key);
+        self.move_below(level, key, level, key);
     }
 
     /// Moves all cubes below a bin to another one.
-    fn take_below(&mut self, level: usize, key: BinKey, to_level: usize, to: BinKey) {
+    fn move_below(&mut self, level: usize, key: BinKey, to_level: usize, to: BinKey) {
         for below in halves(key) {
-            let Some(bin) = self.levels[level + 1].take(below) else {
+            let Some(bin) = self.levels[level + 1].remove(below) else {
                 continue;
             };
             if bin.is_divided() {
-                self.take_below(level + 1, below, to_level, to);
+                self.move_below(level + 1, below, to_level, to);
                 continue;
             }
             for index in 0..bin.len() {
@@ -738,44 +748,44 @@ impl Grid {
         }
     }
 
-    /// While level 0 is new: makes the bin of it that has bins of level 1 below.
+    /// While level 0 is new: makes its bin of this key, if bins of level 1 belong below it.
     #[inline]
-    fn adopt(&mut self, key: BinKey) {
-        if let Turn::Widen(..) = self.turn
+    fn rehash_key(&mut self, key: BinKey) {
+        if let Rehash::Widen(..) = self.rehash
             && self.levels[0].get(key).is_none()
         {
-            self.adopt_new(key);
+            self.rehash_key_now(key);
         }
     }
 
     #[cold]
-    fn adopt_new(&mut self, key: BinKey) {
+    fn rehash_key_now(&mut self, key: BinKey) {
         let below = halves(key).map(|below| self.levels[1].get(below).map_or(0, Bin::len));
-        let Turn::Widen(_, orphans) = &mut self.turn else {
+        let Rehash::Widen(_, unmoved) = &mut self.rehash else {
             return;
         };
-        *orphans -= below.iter().filter(|count| **count > 0).count();
+        *unmoved -= below.iter().filter(|count| **count > 0).count();
         let cubes: usize = below.iter().sum();
         if cubes > 2 * CROWD_MIN {
             self.levels[0].divide(key, cubes);
         } else if cubes > 0 {
-            self.take_below(0, key, 0, key);
+            self.move_below(0, key, 0, key);
         }
     }
 
-    /// Looks at the levels when the number of cubes has changed much, and does a part of what was begun.
+    /// Continues the rehash that is under way; begins one when the number of cubes has changed much.
     #[inline]
-    pub(super) fn take_turn(&mut self) {
-        if !matches!(self.turn, Turn::Rest) {
-            self.turn_some();
-            // While there are few, it is done at once; so bins suit even a set that comes in one change.
-            while self.len <= FEW && !matches!(self.turn, Turn::Rest) {
-                self.turn_some();
+    pub(super) fn continue_rehash(&mut self) {
+        if !matches!(self.rehash, Rehash::Idle) {
+            self.rehash_bins();
+            // A small set is rehashed at once, so that the bins suit even one that comes in a single change.
+            while self.len <= FEW && !matches!(self.rehash, Rehash::Idle) {
+                self.rehash_bins();
             }
             return;
         }
         if self.is_mostly_divided() {
-            self.turn = Turn::Narrow(Walk::default());
+            self.rehash = Rehash::Narrow(Walk::default());
         } else if !(self.review[0]..=self.review[1]).contains(&self.len) {
             self.review_levels();
         }
@@ -800,23 +810,23 @@ impl Grid {
         let sparse = self.len < MEAN_MIN * undivided.sum::<usize>();
         let may = self.narrowest.is_some() && self.len >= REVIEW_MIN && self.shift < SHIFT_MAX;
         if sparse && may && !self.is_mostly_divided() {
-            self.turn = Turn::Widen(Walk::default(), self.levels[0].len());
+            self.rehash = Rehash::Widen(Walk::default(), self.levels[0].len());
             self.levels.insert(0, Bins::new());
             self.shift += 1;
         }
     }
 
     #[cold]
-    fn turn_some(&mut self) {
-        for _ in 0..BINS_A_TURN {
-            match self.turn {
-                Turn::Rest => return,
-                Turn::Narrow(mut walk) => {
+    fn rehash_bins(&mut self) {
+        for _ in 0..BINS_A_CHANGE {
+            match self.rehash {
+                Rehash::Idle => return,
+                Rehash::Narrow(mut walk) => {
                     let (bin, more) = self.levels[0].next(&mut walk);
-                    self.turn = Turn::Narrow(if more { walk } else { Walk::default() });
+                    self.rehash = Rehash::Narrow(if more { walk } else { Walk::default() });
                     if let Some(bin) = bin.filter(|bin| !bin.is_divided()) {
                         let (level, key) = (0, bin.key());
-                        for crowded in self.divide(Leaf { level, key }) {
+                        for crowded in self.divide(BinAddress { level, key }) {
                             self.divide_crowded(crowded);
                         }
                     }
@@ -825,21 +835,21 @@ impl Grid {
                             self.levels.remove(0);
                             self.shift -= 1;
                         }
-                        self.turn = Turn::Rest;
+                        self.rehash = Rehash::Idle;
                     }
                 }
-                Turn::Widen(mut walk, _) => {
+                Rehash::Widen(mut walk, _) => {
                     let (bin, more) = self.levels[1].next(&mut walk);
-                    let orphans = bin.map(|bin| BinKey(bin.key().0.map(|half| half >> 1)));
+                    let unmoved = bin.map(|bin| BinKey(bin.key().0.map(|half| half >> 1)));
                     let to = if more { walk } else { Walk::default() };
-                    if let Turn::Widen(walk, _) = &mut self.turn {
+                    if let Rehash::Widen(walk, _) = &mut self.rehash {
                         *walk = to;
                     }
-                    if let Some(key) = orphans {
-                        self.adopt(key);
+                    if let Some(key) = unmoved {
+                        self.rehash_key(key);
                     }
-                    if let Turn::Widen(_, 0) = self.turn {
-                        self.turn = Turn::Rest;
+                    if let Rehash::Widen(_, 0) = self.rehash {
+                        self.rehash = Rehash::Idle;
                         self.review_levels();
                     }
                 }
@@ -1015,9 +1025,11 @@ mod tests {
                 one.insert_fresh(&batch, &mut touched[0]);
                 several.insert_fresh_on(threads, &batch, &mut touched[1]);
                 cubes.extend(batch.iter().map(|(id, place)| (id.0, place.corner())));
-                let [expected, found] = touched.each_ref().map(|leaves| {
-                    let mut bins: Vec<_> =
-                        leaves.iter().map(|leaf| (leaf.level, leaf.key)).collect();
+                let [expected, found] = touched.each_ref().map(|addresses| {
+                    let mut bins: Vec<_> = addresses
+                        .iter()
+                        .map(|address| (address.level, address.key))
+                        .collect();
                     bins.sort_unstable();
                     bins
                 });
@@ -1027,8 +1039,8 @@ mod tests {
                     let mut settled = Settled::default();
                     grid.settle(touched, &mut settled);
                     assert_eq!(settled.cubes as u64, count);
-                    for leaf in &settled.crowded {
-                        grid.divide_crowded(*leaf);
+                    for address in &settled.crowded {
+                        grid.divide_crowded(*address);
                     }
                     check(grid, &cubes, &mut random);
                     levels = levels.max(grid.levels.len());

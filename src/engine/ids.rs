@@ -11,9 +11,18 @@
 
 use crate::geometry::{CubeId, Place};
 
-use super::Cursor;
-use super::batch::AHEAD;
-use super::scan::prefetch;
+use super::prefetch::{AHEAD, prefetch};
+
+/// Position in the listing of a scene's cubes; the order is fixed by the ids alone, whatever the history.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
+pub struct Cursor(pub u64);
+
+impl Cursor {
+    /// Where a cube stands in the listing.
+    pub fn of(id: CubeId) -> Self {
+        Self(mix(id))
+    }
+}
 
 /// One cube: 20 bytes, so that a table at 53 to 80 % load takes 25 to 38 bytes a cube.
 #[derive(Clone, Copy, Debug)]
@@ -77,7 +86,7 @@ impl IdTable {
         part.find(mixed).ok().map(|slot| part.slots[slot].place())
     }
 
-    /// Asks for the memory in which an id is looked for.
+    /// Prefetches the slot where the search for an id begins.
     #[inline]
     pub(super) fn prefetch(&self, id: CubeId) {
         let mixed = mix(id);
@@ -343,7 +352,7 @@ impl Entry {
 /// A bijection of u64 that spreads neighbouring ids evenly.
 /// # Source
 /// The finaliser of splitmix64 (Steele, Lea, Flood, "Fast splittable pseudorandom number generators", 2014).
-pub(super) fn mix(CubeId(id): CubeId) -> u64 {
+fn mix(CubeId(id): CubeId) -> u64 {
     let mut mixed = id.wrapping_add(0x9e37_79b9_7f4a_7c15);
     mixed = (mixed ^ (mixed >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);

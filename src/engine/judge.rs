@@ -2,7 +2,7 @@
 
 use crate::geometry::{CUBES_MAX, CubeId, Effect, Place};
 
-use super::batch::AHEAD;
+use super::prefetch::AHEAD;
 use super::{Counts, Engine, Judged, Op, Rejected};
 
 impl Engine {

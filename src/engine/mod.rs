@@ -5,13 +5,13 @@
 //!
 //! ```text
 //!   judge(ops) ──> Effect ──> apply ──┬─ ids      cubes by id
-//!                                     ├─ visible  grid of the cubes whose union is the union
-//!                                     ├─ hidden   grid of the cubes that the visible ones cover: never gathered
-//!                                     ├─ certificates   cells inside the union, while many cubes are hidden
-//!                                     └─ totals   += or -= marginal(cube | its visible neighbours)
+//!                                     ├─ exposed  grid of the cubes whose union is the union
+//!                                     ├─ covered  grid of the cubes that the exposed ones cover: never gathered
+//!                                     ├─ covered_cells   cells inside the union, while many cubes are covered
+//!                                     └─ totals   += or -= marginal(cube | its exposed neighbours)
 //! ```
 //!
-//! Invariants: every cube of `ids` is in exactly one grid; the union of the visible cubes is the union of all; `totals`
+//! Invariants: every cube of `ids` is in exactly one grid; the union of the exposed cubes is the union of all; `totals`
 //! are those of [`recount`].
 
 mod access;
@@ -20,13 +20,15 @@ mod bare;
 mod batch;
 mod batch_ids;
 mod bins;
-mod certificates;
+mod covered_cells;
 mod extents;
 mod grid;
 mod ids;
 mod judge;
 mod marginal;
 mod neighbours;
+mod parallel;
+mod prefetch;
 mod scan;
 
 use std::cell::RefCell;
@@ -39,13 +41,15 @@ use crate::geometry::{CUBES_MAX, CubeId, Edge, Effect, Place, Stock, Totals};
 pub use access::Access;
 pub use audit::recount;
 pub use bare::Bare;
-use batch::{AHEAD, BATCH_MIN, CUBES_A_STEP, Helper, delete_batch, insert_batch};
+use batch::{BATCH_MIN, Helper, delete_batch, insert_batch};
 use batch_ids::change_ids;
-use certificates::Certificates;
-use grid::Grid;
+use covered_cells::CoveredCells;
+use grid::{CUBES_A_STEP, Grid};
+pub use ids::Cursor;
 use ids::IdTable;
 use marginal::{Difference, Kernel, Span};
 use neighbours::Neighbours;
+use prefetch::AHEAD;
 
 /// One operation on a scene's set of cubes.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -124,17 +128,6 @@ pub enum Side {
     Outside,
 }
 
-/// Position in the listing of a scene's cubes; the order is fixed by the ids alone, whatever the history.
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
-pub struct Cursor(pub u64);
-
-impl Cursor {
-    /// Where a cube stands in the listing.
-    pub fn of(id: CubeId) -> Self {
-        Self(ids::mix(id))
-    }
-}
-
 /// The first `limit` cubes of a listing, and the cursor of the last of them when more follow.
 pub fn page(
     mut cubes: impl Iterator<Item = (CubeId, Place)>,
@@ -152,10 +145,10 @@ pub struct Engine {
     edge: Edge,
     stock: Option<Stock>,
     ids: IdTable,
-    visible: Grid,
-    hidden: Grid,
+    exposed: Grid,
+    covered: Grid,
     kernel: Kernel,
-    certificates: Certificates,
+    covered_cells: CoveredCells,
     totals: Totals,
     work: Work,
     threads: usize,
@@ -177,7 +170,7 @@ impl Engine {
             Grid::for_neighbours(edge),
             Grid::for_small_boxes(edge),
             Kernel::new(edge),
-            Certificates::new(edge),
+            CoveredCells::new(edge),
         )
     }
 
@@ -189,11 +182,11 @@ impl Engine {
             bins(),
             bins(),
             Kernel::new(edge),
-            Certificates::new(edge),
+            CoveredCells::new(edge),
         )
     }
 
-    /// An empty scene that computes without special instructions, in the widest integers and without certificates,
+    /// An empty scene that computes without special instructions, in the widest integers and without covered cells,
     /// whatever the processor and the edge: the same totals, slower.
     pub fn plain(edge: Edge) -> Self {
         Self::build(
@@ -201,25 +194,25 @@ impl Engine {
             Grid::for_neighbours(edge).plain(),
             Grid::for_small_boxes(edge).plain(),
             Kernel::plain(edge),
-            Certificates::never(edge),
+            CoveredCells::never(edge),
         )
     }
 
     fn build(
         edge: Edge,
-        visible: Grid,
-        hidden: Grid,
+        exposed: Grid,
+        covered: Grid,
         kernel: Kernel,
-        certificates: Certificates,
+        covered_cells: CoveredCells,
     ) -> Self {
         Self {
             edge,
             stock: None,
             ids: IdTable::new(),
-            visible,
-            hidden,
+            exposed,
+            covered,
             kernel,
-            certificates,
+            covered_cells,
             totals: Totals::default(),
             work: Work {
                 neighbours: Neighbours::new(),
@@ -276,7 +269,7 @@ impl Engine {
     pub fn size(&self) -> EngineSize {
         EngineSize {
             ids: self.ids.size(),
-            grid: self.visible.size() + self.hidden.size() + self.certificates.size(),
+            grid: self.exposed.size() + self.covered.size() + self.covered_cells.size(),
         }
     }
 
@@ -344,12 +337,12 @@ impl Engine {
         Ok(())
     }
 
-    /// Asks for the memory in which a cube and those around it are looked for.
+    /// Prefetches where the search for a cube and those around it begins.
     #[inline]
     fn prefetch_around(&self, place: Place) {
-        self.visible.prefetch_around(place);
-        if self.hidden.len() > 0 {
-            self.hidden.prefetch_levels(place);
+        self.exposed.prefetch_around(place);
+        if self.covered.len() > 0 {
+            self.covered.prefetch_levels(place);
         }
     }
 
@@ -374,7 +367,7 @@ impl Engine {
     /// Brings up to date what is no sum of differences.
     fn complete_totals(&mut self) {
         self.totals.cubes = self.len();
-        self.totals.bounds = self.visible.bounds();
+        self.totals.bounds = self.exposed.bounds();
     }
 
     /// Removes cubes from the table of ids; the error is how many were removed before one did not fit.
@@ -405,94 +398,97 @@ impl Engine {
     }
 
     fn insert(&mut self, id: CubeId, place: Place) {
-        if self.certificates.are_kept() {
-            self.hidden.prefetch_end(place);
+        if self.covered_cells.are_kept() {
+            self.covered.prefetch_end(place);
         }
-        if self.certificates.covers(place) {
-            self.hidden.insert(place, id);
+        if self.covered_cells.cover(place) {
+            self.covered.insert(place, id);
         } else if self.marginal(place) {
-            self.show(id, place);
+            self.expose(id, place);
         } else {
-            self.certificates.certify(place);
-            self.hidden.insert(place, id);
+            self.covered_cells.mark(place);
+            self.covered.insert(place, id);
         }
-        self.certificates.review(&self.visible, &self.hidden, 1);
+        self.covered_cells.review(&self.exposed, &self.covered, 1);
     }
 
-    /// Makes a cube visible that adds to the union what the kernel found.
-    fn show(&mut self, id: CubeId, place: Place) {
+    /// Makes a cube exposed that adds to the union what the kernel found.
+    fn expose(&mut self, id: CubeId, place: Place) {
         add(&mut self.totals, self.kernel.found());
-        self.visible.insert(place, id);
-        if self.certificates.are_kept() && self.visible.is_dense_at(place) {
-            self.certificates.certify(place);
+        self.exposed.insert(place, id);
+        if self.covered_cells.are_kept() && self.exposed.is_dense_at(place) {
+            self.covered_cells.mark(place);
         }
     }
 
     fn delete(&mut self, id: CubeId, place: Place) {
-        if self.hidden.remove(place, id) {
+        if self.covered.remove(place, id) {
             return;
         }
-        if self.hand_over(id, place) {
+        if self.replace_by_duplicate(id, place) {
             return;
         }
         assert!(
-            self.visible.remove(place, id),
+            self.exposed.remove(place, id),
             "a cube is in one of the grids"
         );
         if !self.uncovered(place) {
             return;
         }
         retract(&mut self.totals, self.kernel.found());
-        for bare in &self.work.uncovered {
-            self.certificates.revoke(bare);
+        for uncovered in &self.work.uncovered {
+            self.covered_cells.unmark(uncovered);
         }
         self.promote(place);
-        self.certificates.review(&self.visible, &self.hidden, 1);
+        self.covered_cells.review(&self.exposed, &self.covered, 1);
     }
 
-    /// Another cube at the very same place, if there is one, becomes visible instead of a cube that goes: the union stays.
-    fn hand_over(&mut self, id: CubeId, place: Place) -> bool {
-        if self.hidden.len() == 0 {
+    /// A duplicate of a cube that goes, if there is one, becomes exposed instead of it: the union stays.
+    fn replace_by_duplicate(&mut self, id: CubeId, place: Place) -> bool {
+        if self.covered.len() == 0 {
             return false;
         }
-        let Some(twin) = self.hidden.at(place) else {
+        let Some(duplicate) = self.covered.at(place) else {
             return false;
         };
-        assert!(self.hidden.remove(place, twin), "a twin was found there");
         assert!(
-            self.visible.rename(place, id, twin),
+            self.covered.remove(place, duplicate),
+            "a duplicate was found there"
+        );
+        assert!(
+            self.exposed.rename(place, id, duplicate),
             "a cube is in one of the grids"
         );
         true
     }
 
-    /// Makes hidden cubes visible until they cover again what the deleted cube at `place` left bare, as far as they can.
-    /// What is bare lies within the boxes of `work`.
+    /// Makes covered cubes exposed until they cover again what the deleted cube at `place` uncovered, as far as they can.
+    /// That lies within the boxes of `work`.
     fn promote(&mut self, place: Place) {
         let boxes = self.work.uncovered.iter().copied();
-        let Some(bare) = boxes.reduce(|one, other| one.joined(&other)) else {
+        let Some(uncovered) = boxes.reduce(|one, other| one.joined(&other)) else {
             return;
         };
-        if self.hidden.len() == 0 {
+        if self.covered.len() == 0 {
             return;
         }
         let edge = self.edge.steps();
         let mut candidates: Vec<(CubeId, Span)> = Vec::new();
-        // In a crowd one cube often covers all that is bare; the first one found will do.
-        let reach = bare.min.map(|low| low - edge);
-        let covering = self.hidden.visit(reach, bare.max, |corner, id| {
+        // In a crowd one cube often covers all of it; the first one found will do.
+        let reach = uncovered.min.map(|low| low - edge);
+        let covering = self.covered.visit(reach, uncovered.max, |corner, id| {
             let cube = Span::cube(corner, edge);
-            if cube.contains(&bare) {
+            if cube.contains(&uncovered) {
                 return ControlFlow::Break((id, Place::from_checked(corner)));
             }
             candidates.push((id, cube));
             ControlFlow::Continue(())
         });
-        if let ControlFlow::Break((id, hidden)) = covering {
-            self.promote_one(id, hidden);
+        if let ControlFlow::Break((id, covered)) = covering {
+            self.promote_one(id, covered);
             return;
         }
-        // Best overlap first, so that few cubes become visible.
+        // Best overlap first, so that few cubes become exposed.
         loop {
             let boxes = &self.work.uncovered;
             let mut best = (0, None);
@@ -510,36 +506,36 @@ impl Engine {
                 continue;
             }
             let boxes = &mut self.work.uncovered;
-            boxes.retain(|bare| !cube.contains(bare));
-            // The boxes are wide. Only when another cube might be needed is it worth to find out what is still bare.
+            boxes.retain(|uncovered| !cube.contains(uncovered));
+            // The boxes are wide. Only when another cube might be needed is it worth finding out what is still uncovered.
             let needed =
-                |(_, other): &(CubeId, Span)| boxes.iter().any(|bare| bare.overlap(other) > 0);
+                |(_, other): &(CubeId, Span)| boxes.iter().any(|span| span.overlap(other) > 0);
             if !candidates.iter().any(needed) || !self.uncovered(place) {
                 return;
             }
         }
     }
 
-    /// Makes a hidden cube visible, unless the visible cubes cover it.
+    /// Makes a covered cube exposed, unless the exposed cubes cover it.
     fn promote_one(&mut self, id: CubeId, place: Place) -> bool {
         if !self.marginal(place) {
             return false;
         }
-        assert!(self.hidden.remove(place, id), "a candidate is hidden");
-        self.show(id, place);
+        assert!(self.covered.remove(place, id), "a candidate is covered");
+        self.expose(id, place);
         true
     }
 
-    /// Finds what the cube at `place` adds to the union of the visible cubes; false when they cover it.
+    /// Finds what the cube at `place` adds to the union of the exposed cubes; false when they cover it.
     fn marginal(&mut self, place: Place) -> bool {
-        self.visible
+        self.exposed
             .gather(place.corner(), &mut self.work.neighbours);
         self.kernel.marginal(place, &self.work.neighbours)
     }
 
-    /// The same, and boxes around what the visible cubes leave bare of it.
+    /// The same, and boxes around what the exposed cubes do not cover of it.
     fn uncovered(&mut self, place: Place) -> bool {
-        self.visible
+        self.exposed
             .gather(place.corner(), &mut self.work.neighbours);
         self.kernel
             .uncovered(place, &self.work.neighbours, &mut self.work.uncovered)
@@ -568,7 +564,7 @@ impl Engine {
         let Some(min) = lower_corner_of_reach(point, self.edge.steps()) else {
             return;
         };
-        for grid in [&self.visible, &self.hidden] {
+        for grid in [&self.exposed, &self.covered] {
             let all = grid.visit(min, point, |corner, id| {
                 visit(id, Place::from_checked(corner));
                 ControlFlow::<()>::Continue(())

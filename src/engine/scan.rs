@@ -1,6 +1,6 @@
-//! Looking through the cubes of one bin, eight at a time, and fetching memory ahead of time.
+//! Looking through the cubes of one bin, eight at a time.
 //!
-//! Every function has a portable path, which is also the twin that the tests compare the fast one with.
+//! Every function has a portable path, which is also the reference that the tests compare the fast one with.
 
 use super::neighbours::{LANES, Neighbours};
 
@@ -119,28 +119,13 @@ fn within_plain(corners: Corners, first: usize, min: [i32; 3], reach: [u32; 3]) 
     kept.iter().fold(0, |bits, bit| bits | bit)
 }
 
-/// Asks for the memory of an element that will be needed soon; nothing happens when there is none.
-#[inline]
-pub(super) fn prefetch<T>(elements: &[T], index: usize) {
-    #[cfg(target_arch = "x86_64")]
-    if let Some(element) = elements.get(index) {
-        #[expect(unsafe_code, reason = "an instruction that every such processor has")]
-        // SAFETY: SSE is part of x86-64, and a prefetch changes nothing, whatever the address.
-        unsafe {
-            x86::prefetch(std::ptr::from_ref(element).cast());
-        }
-    }
-    #[cfg(not(target_arch = "x86_64"))]
-    let _ = (elements, index);
-}
-
 #[cfg(target_arch = "x86_64")]
 mod x86 {
     use std::arch::x86_64::{
-        __m256i, _MM_HINT_T0, _mm_loadl_epi64, _mm_prefetch, _mm256_abs_epi32, _mm256_and_si256,
-        _mm256_castsi256_ps, _mm256_cmpeq_epi32, _mm256_cvtepu8_epi32, _mm256_loadu_si256,
-        _mm256_max_epu32, _mm256_min_epu32, _mm256_movemask_ps, _mm256_permutevar8x32_epi32,
-        _mm256_set1_epi32, _mm256_storeu_si256, _mm256_sub_epi32,
+        __m256i, _mm_loadl_epi64, _mm256_abs_epi32, _mm256_and_si256, _mm256_castsi256_ps,
+        _mm256_cmpeq_epi32, _mm256_cvtepu8_epi32, _mm256_loadu_si256, _mm256_max_epu32,
+        _mm256_min_epu32, _mm256_movemask_ps, _mm256_permutevar8x32_epi32, _mm256_set1_epi32,
+        _mm256_storeu_si256, _mm256_sub_epi32,
     };
 
     use super::{Corners, LANES, Neighbours};
@@ -248,12 +233,6 @@ mod x86 {
         // SAFETY: the array has the eight bytes that are read.
         let numbers = unsafe { _mm_loadl_epi64(numbers.as_ptr().cast()) };
         _mm256_cvtepu8_epi32(numbers)
-    }
-
-    #[inline]
-    #[target_feature(enable = "sse")]
-    pub(super) fn prefetch(address: *const i8) {
-        _mm_prefetch::<_MM_HINT_T0>(address);
     }
 }
 

@@ -3,34 +3,8 @@
 use ethnum::I256;
 
 use super::lattice::{Bounds, COORDINATE_MAX, CUBES_MAX, EDGE_MAX};
-use super::octants::OctantMask;
+use super::octants::{EdgeKind, OctantMask, VertexKind};
 use super::weights::WEIGHTS;
-
-/// How the union looks along an edge, by the four octants around it.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-#[repr(usize)]
-pub enum EdgeKind {
-    /// One octant filled.
-    Convex,
-    /// Three octants filled.
-    Concave,
-    /// Two filled, diagonally: two solids meet along the edge (non-manifold).
-    Crossing,
-}
-
-/// How the union looks at a vertex.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-#[repr(usize)]
-pub enum VertexKind {
-    /// One octant filled: a cube's own corner.
-    Corner,
-    /// Five filled: the edge of a cube goes through a face of another.
-    EdgeFace,
-    /// Seven filled: three faces of three cubes meet.
-    ThreeFace,
-    /// Everything else: where features coincide.
-    Degenerate,
-}
 
 /// All additive measures of a union of cubes, exact integers. Also the type of a difference between two unions.
 ///

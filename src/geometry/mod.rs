@@ -19,6 +19,6 @@ pub use lattice::{
     Bounds, COORDINATE_MAX, CUBES_MAX, CubeId, EDGE_MAX, Edge, InvalidCube, InvalidEdge,
     InvalidStock, Place, Stock,
 };
-pub use measures::{EdgeKind, Measures, VertexKind};
-pub use octants::OctantMask;
+pub use measures::Measures;
+pub use octants::{EdgeKind, OctantMask, VertexKind};
 pub use weights::{WEIGHTS, Weights};

@@ -1,4 +1,4 @@
-//! The eight octants around one lattice point, as one byte.
+//! The eight octants around one lattice point, as one byte, and how a union looks there.
 //!
 //! ```text
 //!   bit sx + 2*sy + 4*sz is set when the octant on side s (0 = below, 1 = above, per axis) is inside the union
@@ -20,4 +20,30 @@ impl OctantMask {
         let below = [0b0101_0101, 0b0011_0011, 0b0000_1111][axis];
         (self.0 ^ (self.0 >> shift)) & below != 0
     }
+}
+
+/// How the union looks along an edge, by the four octants around it.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[repr(usize)]
+pub enum EdgeKind {
+    /// One octant filled.
+    Convex,
+    /// Three octants filled.
+    Concave,
+    /// Two filled, diagonally: two solids meet along the edge (non-manifold).
+    Crossing,
+}
+
+/// How the union looks at a vertex.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[repr(usize)]
+pub enum VertexKind {
+    /// One octant filled: a cube's own corner.
+    Corner,
+    /// Five filled: the edge of a cube goes through a face of another.
+    EdgeFace,
+    /// Seven filled: three faces of three cubes meet.
+    ThreeFace,
+    /// Everything else: where features coincide.
+    Degenerate,
 }

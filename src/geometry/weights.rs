@@ -1,7 +1,6 @@
 //! The weight of every octant mask in every measure: one table of 256 rows, derived from the definitions.
 
-use super::measures::{EdgeKind, VertexKind};
-use super::octants::OctantMask;
+use super::octants::{EdgeKind, OctantMask, VertexKind};
 
 /// What one lattice point contributes to each measure, up to a monomial of its coordinates.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]

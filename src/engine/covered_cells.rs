@@ -1,15 +1,16 @@
-//! Certificates: cells of space known to lie inside the union, so that a covered cube is hidden without a look at others.
+//! Covered cells: cells of space known to lie inside the union, so that most covered cubes are found so without a look at other
+//! cubes.
 //!
 //! ```text
 //!   cells of an eighth of the edge (rounded down) ── 8 x 8 x 8 of them are one block of 64 bytes
-//!   certify   every cell inside a cube that comes, hidden, or visible where cubes are dense
-//!   revoke    every cell that meets what a deletion laid bare
-//!   covers    all cells that meet a cube are certified: the union covers it
+//!   mark      every cell inside a cube that comes: a covered one, or an exposed one where cubes are dense
+//!   unmark    every cell that meets what a deletion uncovered
+//!   cover     all cells that meet a cube are marked: the union covers it
 //! ```
 //!
-//! A cell that is not certified means nothing: the kernel decides. So certificates cost time and space, never a result.
+//! A cell that is not marked means nothing: the kernel decides. So the cells cost time and space, never a result.
 //! # Source
-//! The covered cells of UNION3 (W. R. Franklin), kept current.
+//! UNION3's covered cells (W. R. Franklin), kept current.
 
 use std::ops::Range;
 
@@ -26,34 +27,33 @@ const SIDE: i32 = 8;
 type Layers = [u64; 8];
 const _: () = assert!(SIDE * SIDE == u64::BITS.cast_signed());
 
-/// The certified cells.
+/// The cells known to lie inside the union.
 #[derive(Debug)]
-pub(super) struct Certificates {
+pub(super) struct CoveredCells {
     edge: i32,
     cell: i32,
     state: State,
-    /// Which of the cubes that were there before have their certificates: of the visible ones, then of the hidden ones. None when
-    /// all have.
+    /// How far the cubes that were there before have been marked: the exposed ones, then the covered ones. None when all are.
     behind: Option<[(usize, CubeWalk); 2]>,
     blocks: Blocks,
 }
 
-/// Whether certificates are kept.
+/// Whether the cells are kept.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 enum State {
     /// Not at all.
     Never,
-    /// Not while so few cubes are hidden that they would not pay.
+    /// Not while so few cubes are covered that they would not pay.
     Idle,
     /// Yes.
     Kept,
 }
 
-/// Cubes, of those that were there when certificates began to be kept, that a change certifies.
+/// Cubes, of those that were there when the cells began to be kept, that a change marks.
 const CUBES_A_CHANGE: usize = 4;
 
-/// Fewer hidden cubes than this never pay.
-const HIDDEN_MIN: usize = 16;
+/// With fewer covered cubes than this the cells never pay.
+const COVERED_MIN: usize = 16;
 
 /// Cells from `first` to before `end`, by axis.
 #[derive(Clone, Copy)]
@@ -62,8 +62,8 @@ struct Cells {
     end: [i32; 3],
 }
 
-impl Certificates {
-    /// No certificates yet; never any for cubes too small to have cells.
+impl CoveredCells {
+    /// No cells yet; never any for cubes too small to have cells.
     pub(super) fn new(edge: Edge) -> Self {
         let cell = edge.steps() / SIDE;
         let state = if cell > 0 { State::Idle } else { State::Never };
@@ -76,7 +76,7 @@ impl Certificates {
         }
     }
 
-    /// No certificates, ever.
+    /// No cells, ever.
     pub(super) fn never(edge: Edge) -> Self {
         Self {
             state: State::Never,
@@ -84,16 +84,17 @@ impl Certificates {
         }
     }
 
-    /// Begins to keep certificates when a third of the cubes are hidden, and ends when fewer than a ninth are: between
-    /// the two lie so many changes that going over all cubes costs little for each. That is done after the beginning, some
-    /// cubes for each of the changes since the last review, so that no change waits for all of them. True while there is more.
-    pub(super) fn review(&mut self, visible: &Grid, hidden: &Grid, changes: usize) -> bool {
+    /// Begins to keep the cells when a third of the cubes are covered, and ends when fewer than a ninth are: between the two lie
+    /// so many changes that going over all cubes costs little for each. Those that were there before are marked after the
+    /// beginning, some for each of the changes since the last review, so that no change waits for all of them. True while there
+    /// are more.
+    pub(super) fn review(&mut self, exposed: &Grid, covered: &Grid, changes: usize) -> bool {
         match self.state {
-            State::Idle if hidden.len() >= HIDDEN_MIN && hidden.len() * 2 >= visible.len() => {
+            State::Idle if covered.len() >= COVERED_MIN && covered.len() * 2 >= exposed.len() => {
                 self.state = State::Kept;
                 self.behind = Some(Default::default());
             }
-            State::Kept if hidden.len() * 8 < visible.len() || hidden.len() == 0 => {
+            State::Kept if covered.len() * 8 < exposed.len() || covered.len() == 0 => {
                 self.state = State::Idle;
                 self.behind = None;
                 self.blocks = Blocks::default();
@@ -102,29 +103,29 @@ impl Certificates {
         }
         if let Some(mut behind) = self.behind.take() {
             let mut budget = changes * CUBES_A_CHANGE;
-            let [of_visible, of_hidden] = &mut behind;
-            budget = visible.next_corners(of_visible, budget, |corner| {
+            let [of_exposed, of_covered] = &mut behind;
+            budget = exposed.next_corners(of_exposed, budget, |corner| {
                 let place = Place::from_checked(corner);
-                if visible.is_dense_at(place) {
-                    self.certify(place);
+                if exposed.is_dense_at(place) {
+                    self.mark(place);
                 }
             });
-            budget = hidden.next_corners(of_hidden, budget, |corner| {
-                self.certify(Place::from_checked(corner));
+            budget = covered.next_corners(of_covered, budget, |corner| {
+                self.mark(Place::from_checked(corner));
             });
             self.behind = (budget == 0).then_some(behind);
         }
         self.behind.is_some()
     }
 
-    /// Whether certificates are kept at the moment.
+    /// Whether the cells are kept at the moment.
     pub(super) fn are_kept(&self) -> bool {
         self.state == State::Kept
     }
 
-    /// Certifies the cells inside a cube of the set. Of the visible ones those where cubes are dense: elsewhere none is covered, and
-    /// certificates would take more memory than the cubes.
-    pub(super) fn certify(&mut self, place: Place) {
+    /// Marks the cells inside a cube of the set. Of the exposed ones only those where cubes are dense are to be marked: elsewhere
+    /// none is covered, and the cells would take more memory than the cubes.
+    pub(super) fn mark(&mut self, place: Place) {
         if self.state != State::Kept {
             return;
         }
@@ -138,12 +139,12 @@ impl Certificates {
         });
     }
 
-    /// Withdraws the certificates of the cells that meet a box.
-    pub(super) fn revoke(&mut self, bare: &Span) {
+    /// Unmarks the cells that meet a box.
+    pub(super) fn unmark(&mut self, uncovered: &Span) {
         if self.state != State::Kept {
             return;
         }
-        self.meeting(bare).each_part(|part| {
+        self.meeting(uncovered).each_part(|part| {
             if let Some(layers) = self.blocks.get_mut(part.block) {
                 for layer in &mut layers[part.z] {
                     *layer &= !part.cells;
@@ -157,7 +158,7 @@ impl Certificates {
     }
 
     /// Whether the union is known to cover the cube at `place`.
-    pub(super) fn covers(&self, place: Place) -> bool {
+    pub(super) fn cover(&self, place: Place) -> bool {
         if self.state != State::Kept {
             return false;
         }
@@ -398,7 +399,7 @@ impl Blocks {
 
 /// A block as a slot names it.
 fn number(block: usize) -> u32 {
-    u32::try_from(block + 1).expect("fewer blocks than cubes are certified")
+    u32::try_from(block + 1).expect("there are fewer blocks than cubes")
 }
 
 fn block_of(slot: u32) -> Option<usize> {
