@@ -215,7 +215,6 @@ impl ServeConfig {
     /// The part that the service needs.
     pub fn service(&self) -> ServiceConfig {
         ServiceConfig {
-            data: self.data.clone(),
             queue_changes_max: self.queue_changes_max.get(),
             group_operations_max: self.group_operations_max.get(),
             history_changes_max: self.history_changes_max.get(),
@@ -223,6 +222,7 @@ impl ServeConfig {
             revert_changes_max: self.revert_changes_max,
             revert_bytes_max: self.revert_bytes_max,
             probe_interval: Duration::from_secs(self.probe_interval_seconds.get()),
+            ..ServiceConfig::new(&self.data)
         }
     }
 }

@@ -10,7 +10,7 @@ use std::num::NonZero;
 
 use random::Random;
 use union3d::engine::{Cursor, Engine, Inconsistent, Op, Rejected, Side, page, recount};
-use union3d::geometry::{CubeId, Edge, EdgeKind, Effect, Place, Stock, Totals};
+use union3d::geometry::{CUBES_MAX, CubeId, Edge, EdgeKind, Effect, Place, Stock, Totals};
 
 /// An engine, and the plain map it must agree with.
 struct Compared {
@@ -39,7 +39,7 @@ impl Compared {
 
     fn apply(&mut self, ops: &[Op]) {
         for engine in &mut self.engines {
-            let judged = engine.judge(ops).unwrap();
+            let judged = engine.judge(ops, CUBES_MAX).unwrap();
             engine.apply(&judged.effect).unwrap();
         }
         for op in ops {
@@ -684,7 +684,7 @@ fn golden_hash_of_a_long_history() {
                 Op::Insert(id, Place::new(corner, edge).unwrap()),
             ],
         };
-        let judged = engine.judge(&ops).unwrap();
+        let judged = engine.judge(&ops, CUBES_MAX).unwrap();
         engine.apply(&judged.effect).unwrap();
         if change % 100 == 99 {
             // FNV-1a of the text: the order of the fields is this one, the numbers are exact.
@@ -770,7 +770,7 @@ fn operations_are_judged_in_order_and_counted_both_ways() {
         .unwrap();
     let (one, two, three) = (CubeId(1), CubeId(2), CubeId(3));
     let check = |ops: &[Op], in_order: [u64; 3], net: [u64; 3], effect: (usize, usize)| {
-        let judged = engine.judge(ops).unwrap();
+        let judged = engine.judge(ops, CUBES_MAX).unwrap();
         let counts =
             |counts: union3d::engine::Counts| [counts.inserted, counts.deleted, counts.unchanged];
         assert_eq!(counts(judged.in_order), in_order, "{ops:?}");
@@ -813,7 +813,7 @@ fn operations_are_judged_in_order_and_counted_both_ways() {
         (0, 2),
     );
     let conflict = engine
-        .judge(&[Op::Delete(two), Op::Insert(one, at(3))])
+        .judge(&[Op::Delete(two), Op::Insert(one, at(3))], CUBES_MAX)
         .unwrap_err();
     let expected = Rejected::IdConflict {
         index: 1,

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use parking_lot::{Condvar, Mutex};
 use union3d::engine::{Counts, Engine, Op, Rejected, Side, recount};
 use union3d::geometry::{CubeId, Edge, Effect, Place, Stock, Totals};
-use union3d::log::{Keep, Log, LogError, Replayed, SceneLog};
+use union3d::log::{Disk, Keep, LogError, Replayed, SceneLog};
 use union3d::service::{
     Applied, Counting, FaultHook, FaultStep, Motion, Operations, Published, Readiness, Scene,
     SceneName, SceneState, Seq, Service, ServiceConfig, ServiceError, Submission,
@@ -536,7 +536,7 @@ async fn a_key_stands_for_a_change_of_nothing_too_but_not_for_a_refused_one() {
 
 /// A disk that fails or waits when told.
 #[derive(Default)]
-struct Disk {
+struct TestDisk {
     state: Mutex<DiskState>,
     changed: Condvar,
 }
@@ -548,7 +548,7 @@ struct DiskState {
     held: usize,
 }
 
-impl Disk {
+impl TestDisk {
     fn hook(self: &Arc<Self>) -> FaultHook {
         let disk = self.clone();
         Arc::new(move |step| {
@@ -589,7 +589,7 @@ impl Disk {
     }
 }
 
-fn start_on(disk: &Arc<Disk>, config: ServiceConfig) -> Service {
+fn start_on(disk: &Arc<TestDisk>, config: ServiceConfig) -> Service {
     Service::start_with_faults(config, disk.hook()).unwrap()
 }
 
@@ -597,7 +597,7 @@ fn start_on(disk: &Arc<Disk>, config: ServiceConfig) -> Service {
 async fn a_full_queue_is_refused_and_nothing_shows_before_it_is_durable() {
     for step in [FaultStep::Append, FaultStep::Appended] {
         let directory = tempfile::tempdir().unwrap();
-        let disk = Arc::new(Disk::default());
+        let disk = Arc::new(TestDisk::default());
         let service = start_on(
             &disk,
             ServiceConfig {
@@ -666,7 +666,7 @@ async fn a_failed_write_stops_the_scene_and_it_comes_back_by_itself() {
         (FaultStep::Appended, false, true),
     ] {
         let directory = tempfile::tempdir().unwrap();
-        let disk = Arc::new(Disk::default());
+        let disk = Arc::new(TestDisk::default());
         let service = start_on(&disk, config(directory.path()));
         let scene = create(&service, "s").await;
         let other = create(&service, "other").await;
@@ -755,7 +755,7 @@ async fn replay_shows_its_progress_and_holds_up_nobody_else() {
         .await
         .unwrap();
     drop(service);
-    let disk = Arc::new(Disk::default());
+    let disk = Arc::new(TestDisk::default());
     disk.hold(Some(FaultStep::Open));
     let service = start_on(&disk, config(directory.path()));
     assert_eq!(service.readiness(), Readiness::Recovering { percent: 0 });
@@ -850,9 +850,10 @@ async fn the_first_change_whose_totals_differ_is_named() {
         idempotency_keys_max: u64::MAX,
         revert_changes_max: u64::MAX,
         revert_bytes_max: u64::MAX,
+        snapshot_log_bytes_min: u64::MAX,
     };
     let path = directory.path().join("data/scenes/s");
-    let (mut log, _) = SceneLog::open(&path, keep).unwrap();
+    let (mut log, _) = SceneLog::open(&Disk::default(), &path, keep).unwrap();
     let mut records = Vec::new();
     log.replay(&mut |_| (), &mut |step| {
         if let Replayed::Change(record) = step {
@@ -1180,8 +1181,14 @@ async fn a_long_log_is_cut_by_a_snapshot_while_changes_go_on() {
         idempotency_keys_max: u64::MAX,
         revert_changes_max: 0,
         revert_bytes_max: 0,
+        snapshot_log_bytes_min: u64::MAX,
     };
-    let (mut log, _) = SceneLog::open(&directory.path().join("data/scenes/s"), keep).unwrap();
+    let (mut log, _) = SceneLog::open(
+        &Disk::default(),
+        &directory.path().join("data/scenes/s"),
+        keep,
+    )
+    .unwrap();
     let mut changes = 0;
     let mut snapshot = None;
     log.replay(&mut |_| (), &mut |step| {
@@ -1196,6 +1203,103 @@ async fn a_long_log_is_cut_by_a_snapshot_while_changes_go_on() {
     let (seq, totals) = snapshot.expect("the log was long enough for a snapshot");
     assert_eq!(totals, states[usize::try_from(seq.0).unwrap() - 1].totals);
     assert_eq!(seq.0 + changes, last.seq.0 + 1);
+}
+
+/// Files that version 0.1.0 wrote: a snapshot, what was trimmed behind it, changes with keys and moves, one that went back, a
+/// stock, and a write-ahead file as a crash leaves it.
+#[tokio::test]
+async fn files_of_version_0_1_0_open() {
+    let directory = tempfile::tempdir().unwrap();
+    let scene = directory.path().join("data/scenes/s");
+    std::fs::create_dir_all(&scene).unwrap();
+    for (name, bytes) in [
+        (
+            "scene.sqlite",
+            &include_bytes!("data/scene-0.1.0/scene.sqlite.zst")[..],
+        ),
+        (
+            "scene.sqlite-wal",
+            include_bytes!("data/scene-0.1.0/scene.sqlite-wal.zst"),
+        ),
+        (
+            "acknowledged",
+            include_bytes!("data/scene-0.1.0/acknowledged.zst"),
+        ),
+    ] {
+        std::fs::write(scene.join(name), zstd::decode_all(bytes).unwrap()).unwrap();
+    }
+    let service = Service::start(ServiceConfig {
+        history_changes_max: 12,
+        idempotency_keys_max: 6,
+        revert_changes_max: 8,
+        ..config(directory.path())
+    })
+    .unwrap();
+    let scene = running(&service, "s");
+    assert_eq!(scene.notices(), Vec::<String>::new());
+    let cubes = [
+        (2, [-2, 1, 1]),
+        (3, [8, 4, 0]),
+        (4, [2, -3, -2]),
+        (5, [2, -3, -3]),
+        (8, [8, 8, 1]),
+        (9, [1, 7, 5]),
+        (10, [8, 3, 0]),
+        (11, [6, 4, 5]),
+        (12, [20, 20, 20]),
+    ];
+    let mut listed = scene.cubes().await.unwrap().1;
+    listed.sort_unstable_by_key(|(id, _)| *id);
+    assert!(
+        listed
+            .iter()
+            .map(|(id, place)| (id.0, place.corner()))
+            .eq(cubes)
+    );
+    let edge = Edge::new(4).unwrap();
+    let stock = Stock::new([0; 3], [9; 3]).unwrap();
+    assert_eq!((scene.edge(), scene.stock()), (edge, Some(stock)));
+    let published = scene.published().unwrap();
+    let places = listed.iter().map(|(_, place)| *place);
+    assert_eq!(published.totals, recount(edge, Some(stock), places));
+    assert_eq!(published.seq, Seq(26));
+    let rows = scene.history(Seq(0), Seq(99), None, 99).await.unwrap();
+    let volumes: Vec<(u64, i128, i128, Option<u64>)> = rows
+        .iter()
+        .map(|row| {
+            (
+                row.seq.0,
+                row.totals.measures.volume,
+                row.volume_removed,
+                row.motion.number,
+            )
+        })
+        .collect();
+    assert_eq!(
+        volumes[12..],
+        [
+            (21, 416, -8, Some(200)),
+            (22, 480, 6, None),
+            (23, 456, -24, Some(202)),
+            (24, 416, 36, None),
+            (25, 416, -18, None),
+            (26, 480, 0, None),
+        ]
+    );
+    assert_eq!(volumes[0], (9, 456, -22, Some(108)));
+    // A key of then is answered as it was.
+    let again = numbered(vec![place(0, 0, 0)], Some(("numbered", 2)));
+    let again = scene.change(again).await.unwrap();
+    assert!(again.replayed);
+    assert_eq!(again.published, published);
+    assert_eq!(again.assigned, Some((CubeId(12), CubeId(12))));
+    // And what was gone back from comes back.
+    let revert = Submission {
+        operations: Operations::Revert(Seq(23)),
+        ..named(vec![])
+    };
+    let reverted = scene.change(revert).await.unwrap();
+    assert_eq!(reverted.published.totals, rows[14].totals);
 }
 
 #[tokio::test]

@@ -10,7 +10,7 @@ use serde_json::Value;
 
 use super::{Outcome, input, progress, report};
 use union3d::engine::{Engine, Op, Rejected};
-use union3d::geometry::{CubeId, InvalidCube, Place};
+use union3d::geometry::{CUBES_MAX, CubeId, InvalidCube, Place};
 use union3d::wire::convert::{self, Anchor, Settings, WantedSettings};
 
 /// Operations judged and applied together.
@@ -221,7 +221,7 @@ impl<'settings> Scene<'settings> {
     }
 
     fn apply(&mut self) -> Result<(), Failure> {
-        let judged = self.engine.judge(&self.waiting).map_err(|rejected| match rejected {
+        let judged = self.engine.judge(&self.waiting, CUBES_MAX).map_err(|rejected| match rejected {
             Rejected::IdConflict { index, id, there, .. } => format!(
                 "{} {}: id {} is there already, at another place ({:?}): give every cube an id of its own",
                 self.counted, self.places[index], id.0, self.settings.at(there)

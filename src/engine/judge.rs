@@ -1,24 +1,59 @@
 //! Judging operations: what a sequence of them does to the set, before anything is changed.
 
-use crate::geometry::{CUBES_MAX, CubeId, Effect, Place};
+use crate::geometry::{CubeId, Effect, Place};
 
 use super::prefetch::AHEAD;
 use super::{Counts, Engine, Judged, Op, Rejected};
 
+/// What operations do to one cube.
+struct Touched {
+    id: CubeId,
+    before: Option<Place>,
+    now: Option<Place>,
+}
+
 impl Engine {
-    /// Judges operations in their order against the set, changing nothing. O(operations), and a sort of them unless their
-    /// ids come in increasing order.
+    /// Judges operations in their order against the set, changing nothing; it may come to `cubes_max` cubes. O(operations), and a
+    /// sort of them unless their ids come in increasing order.
     /// # Errors
     /// [`Rejected`] names the first operation at fault.
-    pub fn judge(&self, ops: &[Op]) -> Result<Judged, Rejected> {
-        let (effect, in_order) = match first_of_id(ops) {
-            None => self.judge_once_each(ops)?,
-            Some(first) => self.judge_again(ops, &first)?,
-        };
+    pub fn judge(&self, ops: &[Op], cubes_max: u64) -> Result<Judged, Rejected> {
+        let first = first_of_id(ops);
+        let mut touched: Vec<Touched> = Vec::with_capacity(ops.len());
+        // Where in `touched` the id of each operation is; not kept where every operation names another.
+        let mut entries: Vec<usize> = Vec::with_capacity(first.as_ref().map_or(0, Vec::len));
+        let mut in_order = Counts::default();
+        for (index, op) in ops.iter().enumerate() {
+            if let Some(ahead) = ops.get(index + AHEAD) {
+                self.ids.prefetch(id_of(ahead));
+            }
+            let known = first
+                .as_ref()
+                .and_then(|first| entries.get(first[index]).copied());
+            let entry = known.unwrap_or(touched.len());
+            if known.is_none() {
+                let id = id_of(op);
+                let before = self.ids.get(id);
+                let now = before;
+                touched.push(Touched { id, before, now });
+            }
+            if first.is_some() {
+                entries.push(entry);
+            }
+            let now = &mut touched[entry].now;
+            *now = after(index, op, *now, &mut in_order)?;
+        }
+        let mut effect = Effect::default();
+        for Touched { id, before, now } in touched {
+            if before != now {
+                effect.deleted.extend(before.map(|place| (id, place)));
+                effect.inserted.extend(now.map(|place| (id, place)));
+            }
+        }
         let (inserted, deleted) = (effect.inserted.len() as u64, effect.deleted.len() as u64);
         let cubes = self.len() - deleted + inserted;
-        if cubes > CUBES_MAX {
-            return Err(Rejected::TooManyCubes { cubes });
+        if cubes > cubes_max {
+            return Err(Rejected::TooManyCubes { cubes, cubes_max });
         }
         let unchanged = ops.len() as u64 - inserted - deleted;
         let net = Counts {
@@ -31,65 +66,6 @@ impl Engine {
             in_order,
             net,
         })
-    }
-
-    /// Judges operations of which no two name the same id.
-    fn judge_once_each(&self, ops: &[Op]) -> Result<(Effect, Counts), Rejected> {
-        let mut effect = Effect::default();
-        let mut counts = Counts::default();
-        for (index, op) in ops.iter().enumerate() {
-            if let Some(ahead) = ops.get(index + AHEAD) {
-                self.ids.prefetch(id_of(ahead));
-            }
-            let before = self.ids.get(id_of(op));
-            match (*op, after(index, op, before, &mut counts)?) {
-                (Op::Delete(id), None) => effect.deleted.extend(before.map(|place| (id, place))),
-                (Op::Insert(id, place), Some(_)) if before.is_none() => {
-                    effect.inserted.push((id, place));
-                }
-                _ => {}
-            }
-        }
-        Ok((effect, counts))
-    }
-
-    /// Judges operations, given for each the first one that names the same id.
-    fn judge_again(&self, ops: &[Op], first: &[usize]) -> Result<(Effect, Counts), Rejected> {
-        /// An id that some operation names.
-        struct Touched {
-            id: CubeId,
-            before: Option<Place>,
-            now: Option<Place>,
-        }
-        let mut touched: Vec<Touched> = Vec::with_capacity(ops.len());
-        // Where in `touched` the id of each operation is.
-        let mut entries: Vec<usize> = Vec::with_capacity(ops.len());
-        let mut counts = Counts::default();
-        for (index, op) in ops.iter().enumerate() {
-            if let Some(ahead) = ops.get(index + AHEAD) {
-                self.ids.prefetch(id_of(ahead));
-            }
-            let entry = if let Some(entry) = entries.get(first[index]) {
-                *entry
-            } else {
-                let id = id_of(op);
-                let before = self.ids.get(id);
-                let now = before;
-                touched.push(Touched { id, before, now });
-                touched.len() - 1
-            };
-            entries.push(entry);
-            let now = &mut touched[entry].now;
-            *now = after(index, op, *now, &mut counts)?;
-        }
-        let mut effect = Effect::default();
-        for Touched { id, before, now } in touched {
-            if before != now {
-                effect.deleted.extend(before.map(|place| (id, place)));
-                effect.inserted.extend(now.map(|place| (id, place)));
-            }
-        }
-        Ok((effect, counts))
     }
 }
 

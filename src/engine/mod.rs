@@ -97,14 +97,13 @@ pub enum Rejected {
         /// Where it was to be inserted.
         asked: Place,
     },
-    /// The scene would hold more than 2^31 cubes.
-    #[error(
-        "the scene would hold {cubes} cubes; the most is {}",
-        crate::geometry::CUBES_MAX
-    )]
+    /// The scene would hold too many cubes.
+    #[error("the scene would hold {cubes} cubes; the most is {cubes_max}")]
     TooManyCubes {
         /// How many it would hold.
         cubes: u64,
+        /// How many it may hold.
+        cubes_max: u64,
     },
 }
 

@@ -3,8 +3,6 @@
 //! Knows how SQLite must be set up so that a commit is durable, and that every transaction moves the head. Never knows
 //! what a row means.
 
-use std::path::Path;
-
 use rusqlite::config::DbConfig;
 use rusqlite::{Connection, OpenFlags, Transaction, TransactionBehavior};
 
@@ -28,15 +26,12 @@ pub(super) struct Database {
 
 impl Database {
     /// Fills an empty directory with the database of a scene without changes, and closes it.
-    pub(super) fn create(directory: &Path, meta: &Meta) -> Result<(), LogError> {
-        let site = Site::new(directory);
-        let connection = Connection::open_with_flags(
-            &site.database,
-            OpenFlags::SQLITE_OPEN_READ_WRITE
-                | OpenFlags::SQLITE_OPEN_CREATE
-                | OpenFlags::SQLITE_OPEN_NO_MUTEX,
-        )
-        .map_err(site.sqlite(Seq(0)))?;
+    pub(super) fn create(site: &Site, meta: &Meta) -> Result<(), LogError> {
+        let flags = OpenFlags::SQLITE_OPEN_READ_WRITE
+            | OpenFlags::SQLITE_OPEN_CREATE
+            | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+        let connection = site.disk.connect(&site.database, flags);
+        let connection = connection.map_err(site.sqlite(Seq(0)))?;
         let head = Head::NEW;
         let build = || {
             // Both can only be chosen for an empty file; incremental so that `trim` can give pages back.
@@ -57,7 +52,7 @@ impl Database {
         connection
             .close()
             .map_err(|(_, error)| site.sqlite(Seq(0))(error))?;
-        let mut acknowledged = Acknowledged::open(&site).map_err(|error| site.io(&error))?;
+        let mut acknowledged = Acknowledged::open(site).map_err(|error| site.io(&error))?;
         acknowledged
             .write(mark(&head))
             .and_then(|()| acknowledged.sync())
@@ -67,11 +62,9 @@ impl Database {
     /// Opens the database of a scene and checks everything but its rows.
     pub(super) fn open(site: Site) -> Result<(Self, Meta), LogError> {
         let seq = site.acknowledged_seq();
-        let connection = Connection::open_with_flags(
-            &site.database,
-            OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX,
-        )
-        .map_err(site.sqlite(seq))?;
+        let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+        let connection = site.disk.connect(&site.database, flags);
+        let connection = connection.map_err(site.sqlite(seq))?;
         // Until replay has found everything in order, closing must not touch the files.
         connection
             .set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true)
@@ -140,10 +133,8 @@ impl Database {
     /// A connection that only reads.
     pub(super) fn reader(&self) -> Result<Connection, LogError> {
         let open = || {
-            let connection = Connection::open_with_flags(
-                &self.site.database,
-                OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX,
-            )?;
+            let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+            let connection = self.site.disk.connect(&self.site.database, flags)?;
             configure(&connection)?;
             Ok(connection)
         };
@@ -233,13 +224,11 @@ pub(super) fn generation_without_write_ahead(site: &Site, seal: Seal) -> Option<
         .replace('%', "%25")
         .replace('?', "%3f")
         .replace('#', "%23");
-    let connection = Connection::open_with_flags(
-        format!("file:{escaped}?immutable=1"),
-        OpenFlags::SQLITE_OPEN_READ_ONLY
-            | OpenFlags::SQLITE_OPEN_URI
-            | OpenFlags::SQLITE_OPEN_NO_MUTEX,
-    )
-    .ok()?;
+    let flags = OpenFlags::SQLITE_OPEN_READ_ONLY
+        | OpenFlags::SQLITE_OPEN_URI
+        | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+    let uri = format!("file:{escaped}?immutable=1");
+    let connection = site.disk.connect(uri, flags).ok()?;
     let head = Head::read(&connection, seal).ok()?.ok()?;
     Some(head.generation)
 }

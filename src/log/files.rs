@@ -11,10 +11,11 @@
 //! A directory is built under a name that starts with [`TEMPORARY_PREFIX`] and renamed, and removed the other way round, so a crash leaves a
 //! whole scene, or none and some rubbish that [`remove_leftovers`] knows by its name.
 
-use std::fs::{self, File, OpenOptions};
-use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::fs;
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
+use super::disk::{Disk, OpenFile};
 use super::{LogError, Seq};
 
 /// Names of directories that are being made or removed start with this; no scene's name does.
@@ -35,13 +36,15 @@ const ADVICE: &str =
 /// Where a scene's files are, to find them and to name them in errors.
 #[derive(Clone, Debug)]
 pub(super) struct Site {
+    pub(super) disk: Disk,
     directory: PathBuf,
     pub(super) database: PathBuf,
 }
 
 impl Site {
-    pub(super) fn new(directory: &Path) -> Self {
+    pub(super) fn new(disk: &Disk, directory: &Path) -> Self {
         Self {
+            disk: disk.clone(),
             directory: directory.to_owned(),
             database: directory.join("scene.sqlite"),
         }
@@ -129,15 +132,16 @@ impl Site {
     /// Whether a new file finds no room: SQLite does not say what its I/O errors were.
     fn is_full(&self) -> bool {
         const TRIAL_BYTES: usize = 1 << 16;
-        let trial = || tempfile::tempfile_in(&self.directory)?.write_all(&vec![1; TRIAL_BYTES]);
-        trial().is_err_and(|error| matches!(self.io(&error), LogError::Full { .. }))
+        let trial = self.disk.try_bytes(&self.directory, TRIAL_BYTES);
+        trial.is_err_and(|error| matches!(self.io(&error), LogError::Full { .. }))
     }
 
     /// Checks the start of the database file before SQLite sees it: SQLite would take an empty file for a new database and
     /// delete its write-ahead file. Answers the size of a page.
     pub(super) fn check_database_header(&self) -> Result<usize, LogError> {
         let mut bytes = Vec::new();
-        File::open(&self.database)
+        self.disk
+            .read(&self.database)
             .and_then(|file| {
                 file.take(u64::try_from(HEADER_SIZE).expect("a hundred fits"))
                     .read_to_end(&mut bytes)
@@ -182,7 +186,10 @@ impl Site {
 
     /// What is known to have been answered for, if the witness can be read.
     pub(super) fn acknowledged_mark(&self) -> Option<Mark> {
-        Acknowledged::parse(&fs::read(self.acknowledged()).ok()?)
+        let mut bytes = Vec::new();
+        let mut file = self.disk.read(&self.acknowledged()).ok()?;
+        file.read_to_end(&mut bytes).ok()?;
+        Acknowledged::parse(&bytes)
     }
 
     /// The same, to name a seq where the database cannot be asked.
@@ -205,18 +212,13 @@ pub(super) struct Mark {
 /// The mark is written after each commit and never synced, which costs a microsecond. So it may lag behind after a power
 /// failure, but it is never ahead of what was on stable storage; after the death of the process alone it is exact.
 #[derive(Debug)]
-pub(super) struct Acknowledged(File);
+pub(super) struct Acknowledged(OpenFile);
 
 impl Acknowledged {
     const SIZE: usize = 20;
 
     pub(super) fn open(site: &Site) -> io::Result<Self> {
-        OpenOptions::new()
-            .write(true)
-            .create(true)
-            .truncate(false)
-            .open(site.acknowledged())
-            .map(Self)
+        site.disk.open(site.acknowledged()).map(Self)
     }
 
     fn parse(bytes: &[u8]) -> Option<Mark> {
@@ -235,35 +237,35 @@ impl Acknowledged {
         bytes[8..16].copy_from_slice(&mark.seq.0.to_le_bytes());
         let crc = crc32fast::hash(&bytes[..16]);
         bytes[16..].copy_from_slice(&crc.to_le_bytes());
-        self.0.seek(SeekFrom::Start(0))?;
-        self.0.write_all(&bytes)
+        self.0.write(&bytes)
     }
 
     pub(super) fn sync(&self) -> io::Result<()> {
-        self.0.sync_all()
+        self.0.sync()
     }
 }
 
 /// Makes `directory` appear whole: `build` fills a directory of another name beside it.
 /// Nobody else creates the same one at the same time.
 pub(super) fn create_whole(
+    disk: &Disk,
     directory: &Path,
     build: impl FnOnce(&Path) -> Result<(), LogError>,
 ) -> Result<(), LogError> {
-    let site = Site::new(directory);
+    let site = Site::new(disk, directory);
     let io = |error: io::Error| site.io(&error);
     if directory.exists() {
         return Err(site.failed("the directory is there already"));
     }
-    let temporary = temporary_sibling(directory, "create").map_err(io)?;
-    fs::create_dir(&temporary).map_err(io)?;
+    let temporary = temporary_sibling(disk, directory, "create").map_err(io)?;
+    disk.create_directory(&temporary).map_err(io)?;
     let outcome = build(&temporary)
-        .and_then(|()| sync_directory(&temporary).map_err(io))
-        .and_then(|()| fs::rename(&temporary, directory).map_err(io))
-        .and_then(|()| sync_directory(parent(directory)).map_err(io));
+        .and_then(|()| disk.sync_directory(&temporary).map_err(io))
+        .and_then(|()| disk.rename(&temporary, directory).map_err(io))
+        .and_then(|()| disk.sync_directory(parent(directory)).map_err(io));
     if outcome.is_err() {
         // What cannot be removed now has a name by which it is removed later.
-        drop(fs::remove_dir_all(&temporary));
+        drop(disk.remove_directory(&temporary));
     }
     outcome
 }
@@ -271,19 +273,19 @@ pub(super) fn create_whole(
 /// Removes the directory of a scene, so that a crash leaves it whole or gone.
 /// # Errors
 /// The file system's. When the directory is not there any more, only space was not given back.
-pub fn remove_scene(directory: &Path) -> io::Result<()> {
-    let temporary = temporary_sibling(directory, "remove")?;
-    fs::rename(directory, &temporary)?;
-    sync_directory(parent(directory))?;
-    fs::remove_dir_all(&temporary)
+pub fn remove_scene(disk: &Disk, directory: &Path) -> io::Result<()> {
+    let temporary = temporary_sibling(disk, directory, "remove")?;
+    disk.rename(directory, &temporary)?;
+    disk.sync_directory(parent(directory))?;
+    disk.remove_directory(&temporary)
 }
 
 /// A free name beside `directory`.
-fn temporary_sibling(directory: &Path, purpose: &str) -> io::Result<PathBuf> {
+fn temporary_sibling(disk: &Disk, directory: &Path, purpose: &str) -> io::Result<PathBuf> {
     let mut name = std::ffi::OsString::from(format!("{TEMPORARY_PREFIX}{purpose}-"));
     name.push(directory.file_name().unwrap_or_default());
     let temporary = parent(directory).join(name);
-    match fs::remove_dir_all(&temporary) {
+    match disk.remove_directory(&temporary) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
         _ => Ok(temporary),
     }
@@ -292,15 +294,13 @@ fn temporary_sibling(directory: &Path, purpose: &str) -> io::Result<PathBuf> {
 /// Removes what a crash left of scenes being created or removed under `data`. Only for the one who has locked it.
 /// # Errors
 /// The file system's.
-pub fn remove_leftovers(data: &Path) -> io::Result<()> {
-    for entry in fs::read_dir(data)? {
-        let entry = entry?;
-        let name = entry.file_name();
+pub fn remove_leftovers(disk: &Disk, data: &Path) -> io::Result<()> {
+    for name in disk.list_directory(data)? {
         if name
             .as_encoded_bytes()
             .starts_with(TEMPORARY_PREFIX.as_bytes())
         {
-            fs::remove_dir_all(entry.path())?;
+            disk.remove_directory(&data.join(&name))?;
         }
     }
     Ok(())
@@ -311,9 +311,4 @@ fn parent(directory: &Path) -> &Path {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),
     }
-}
-
-/// Names in a directory are durable only once the directory itself is synced.
-fn sync_directory(directory: &Path) -> io::Result<()> {
-    File::open(directory)?.sync_all()
 }

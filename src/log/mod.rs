@@ -20,6 +20,7 @@
 
 mod codec;
 mod database;
+mod disk;
 mod files;
 mod history;
 mod replay;
@@ -35,6 +36,7 @@ use std::path::PathBuf;
 use crate::geometry::{CubeId, Effect, Place, Stock, Totals};
 
 pub use codec::RECORD_CUBES_MAX;
+pub use disk::{Disk, FileCall, FileWatch};
 pub use files::{TEMPORARY_PREFIX, remove_leftovers, remove_scene};
 pub use history::HistoryReader;
 pub use revert::Step;
@@ -149,19 +151,6 @@ pub enum Replayed<'a> {
     Change(&'a Record),
 }
 
-/// Append durably, replay from the start: all that the service asks of a log.
-pub trait Log: Send {
-    /// Appends records and keys, all or nothing, and returns once they are on stable storage.
-    fn append(&mut self, records: &[Record], keys: &[KeyRecord]) -> Result<(), LogError>;
-    /// Everything that is needed to rebuild the scene. `progress` gets a fraction in parts per thousand.
-    /// `visit` answers false when the state it rebuilt differs from the totals it was shown: then [`LogError::Damaged`] names that seq.
-    fn replay(
-        &mut self,
-        progress: &mut dyn FnMut(u32),
-        visit: &mut dyn FnMut(Replayed<'_>) -> bool,
-    ) -> Result<(), LogError>;
-}
-
 /// Why the log did not do what it was asked.
 #[derive(Debug, thiserror::Error)]
 pub enum LogError {
@@ -210,6 +199,8 @@ pub struct Keep {
     pub revert_changes_max: u64,
     /// Most bytes of operations kept for that.
     pub revert_bytes_max: u64,
+    /// A log shorter than this since its last snapshot is replayed in a moment: it wants none.
+    pub snapshot_log_bytes_min: u64,
 }
 
 /// One row of the history.

@@ -16,7 +16,11 @@ use crate::geometry::Effect;
 const DIFFERS: &str = "the totals rebuilt from the cubes differ from those recorded";
 
 impl SceneLog {
-    pub(super) fn replay_all(
+    /// Everything that is needed to rebuild the scene. `progress` gets a fraction in parts per thousand.
+    /// `visit` answers false when the state it rebuilt differs from the totals it was shown.
+    /// # Errors
+    /// [`LogError::Damaged`] names the seq at which the files are not what was written, or the state differs.
+    pub fn replay(
         &mut self,
         progress: &mut dyn FnMut(u32),
         visit: &mut dyn FnMut(Replayed<'_>) -> bool,

@@ -10,17 +10,18 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use super::codec::{Encoder, RECORD_CUBES_MAX, put_totals};
 use super::database::{Database, generation_without_write_ahead};
+use super::disk::Disk;
 use super::files::{Mark, Site, create_whole};
 use super::history::HistoryReader;
 use super::snapshot::UnderWay;
 use super::tables::{CHUNKS_MAX, Changes, Keys, Meta, Packed, Snapshot};
 use super::wal::{self, WriteAhead};
-use super::{Header, HistoryRow, Keep, KeyRecord, Log, LogError, Record, Replayed, Seq};
+use super::{Header, HistoryRow, Keep, KeyRecord, LogError, Record, Seq};
 use crate::geometry::{Edge, Effect};
 
 /// A scene's log in one SQLite database. There is one writer: the service holds a lock on the data directory.
 ///
-/// After an error of [`Log::append`] nothing of it has happened, unless the process or the machine dies next: then what was
+/// After an error of [`Self::append`] nothing of it has happened, unless the process or the machine dies next: then what was
 /// not answered for may turn out to be there after all, whole, as with any commit whose answer was lost.
 pub struct SceneLog {
     pub(super) database: Database,
@@ -52,7 +53,12 @@ impl SceneLog {
     /// Creates the scene's directory and log, durably, appearing whole (temporary name, then rename).
     /// # Errors
     /// [`LogError::Failed`] when the directory is there already, otherwise the disk's.
-    pub fn create(directory: &Path, header: &Header, keep: Keep) -> Result<Self, LogError> {
+    pub fn create(
+        disk: &Disk,
+        directory: &Path,
+        header: &Header,
+        keep: Keep,
+    ) -> Result<Self, LogError> {
         let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH);
         let meta = Meta {
             header: header.clone(),
@@ -61,23 +67,29 @@ impl SceneLog {
                 .and_then(|duration| duration.as_millis().try_into().ok())
                 .unwrap_or(0),
         };
-        create_whole(directory, |temporary| Database::create(temporary, &meta))?;
-        let (mut log, _) = Self::open(directory, keep)?;
+        create_whole(disk, directory, |temporary| {
+            Database::create(&Site::new(disk, temporary), &meta)
+        })?;
+        let (mut log, _) = Self::open(disk, directory, keep)?;
         log.database.settle();
         Ok(log)
     }
 
     /// Opens an existing one. `notices` says what SQLite cut off its write-ahead file, if it did.
     ///
-    /// Checks what can be checked without reading the cubes; [`Log::replay`] does the rest and must come before the first append.
+    /// Checks what can be checked without reading the cubes; [`Self::replay`] does the rest and must come before the first append.
     /// Refusing changes no file.
     /// # Errors
     /// [`LogError::Damaged`] and [`LogError::Foreign`] when the files are not what they were.
-    pub fn open(directory: &Path, keep: Keep) -> Result<(Self, Vec<String>), LogError> {
-        let site = Site::new(directory);
+    pub fn open(
+        disk: &Disk,
+        directory: &Path,
+        keep: Keep,
+    ) -> Result<(Self, Vec<String>), LogError> {
+        let site = Site::new(disk, directory);
         let page_size = site.check_database_header()?;
         let write_ahead =
-            wal::inspect(&site.write_ahead(), page_size).map_err(|error| site.io(&error))?;
+            wal::inspect(disk, &site.write_ahead(), page_size).map_err(|error| site.io(&error))?;
         if let WriteAhead::Broken { detail, frame } = write_ahead {
             let place = frame.map_or_else(String::new, |frame| format!(" (frame {frame})"));
             return Err(site.damaged(
@@ -115,6 +127,69 @@ impl SceneLog {
         log.load_snapshot()?;
         log.load_keys()?;
         Ok((log, notices))
+    }
+
+    /// Appends records and keys, all or nothing, and returns once they are on stable storage.
+    /// # Errors
+    /// [`LogError::Full`] or [`LogError::Failed`].
+    /// # Panics
+    /// When the records do not continue the log without a gap, or a key is there already.
+    pub fn append(&mut self, records: &[Record], keys: &[KeyRecord]) -> Result<(), LogError> {
+        if records.is_empty() && keys.is_empty() {
+            return Ok(());
+        }
+        for (record, seq) in records.iter().zip(self.seq().0 + 1..) {
+            assert_eq!(record.seq.0, seq, "changes are appended in their order");
+        }
+        for record in keys {
+            assert!(
+                !self.keys.contains_key(&record.key),
+                "a key is answered once"
+            );
+        }
+        self.check_sizes(records)?;
+        let Self {
+            database,
+            encoder,
+            bytes,
+            ..
+        } = self;
+        database.transact(|connection, seal, head| {
+            for record in records {
+                let Effect { deleted, inserted } = &record.effect;
+                bytes.clear();
+                encoder.encode([deleted, inserted], bytes);
+                let operations = Packed {
+                    number: record.seq.0,
+                    cubes: bytes,
+                };
+                operations.insert_operations(connection, seal, record.back_to)?;
+                head.seq = record.seq;
+                head.operations_bytes += count(bytes.len());
+                head.operations_cubes += count(deleted.len()) + count(inserted.len());
+                let row = HistoryRow {
+                    seq: record.seq,
+                    at_ms: record.at_ms,
+                    inserted: count(inserted.len()),
+                    deleted: count(deleted.len()),
+                    motion: record.motion,
+                    volume_removed: record.volume_removed,
+                    totals: record.totals,
+                };
+                bytes.clear();
+                put_totals(bytes, &row.totals);
+                Changes::insert(connection, seal, &row, bytes)?;
+            }
+            for record in keys {
+                Keys::insert(connection, seal, head.keys_next, record)?;
+                head.keys_next += 1;
+            }
+            Ok(())
+        })?;
+        let numbers = self.database.head.keys_next - count(keys.len())..;
+        self.keys
+            .extend(keys.iter().map(|record| record.key.clone()).zip(numbers));
+        Ok(())
     }
 
     /// What was fixed at creation.
@@ -270,78 +345,6 @@ impl SceneLog {
     }
 }
 
-impl Log for SceneLog {
-    /// # Errors
-    /// [`LogError::Full`] or [`LogError::Failed`].
-    /// # Panics
-    /// When the records do not continue the log without a gap, or a key is there already.
-    fn append(&mut self, records: &[Record], keys: &[KeyRecord]) -> Result<(), LogError> {
-        if records.is_empty() && keys.is_empty() {
-            return Ok(());
-        }
-        for (record, seq) in records.iter().zip(self.seq().0 + 1..) {
-            assert_eq!(record.seq.0, seq, "changes are appended in their order");
-        }
-        for record in keys {
-            assert!(
-                !self.keys.contains_key(&record.key),
-                "a key is answered once"
-            );
-        }
-        self.check_sizes(records)?;
-        let Self {
-            database,
-            encoder,
-            bytes,
-            ..
-        } = self;
-        database.transact(|connection, seal, head| {
-            for record in records {
-                let Effect { deleted, inserted } = &record.effect;
-                bytes.clear();
-                encoder.encode([deleted, inserted], bytes);
-                let operations = Packed {
-                    number: record.seq.0,
-                    cubes: bytes,
-                };
-                operations.insert_operations(connection, seal, record.back_to)?;
-                head.seq = record.seq;
-                head.operations_bytes += count(bytes.len());
-                head.operations_cubes += count(deleted.len()) + count(inserted.len());
-                let row = HistoryRow {
-                    seq: record.seq,
-                    at_ms: record.at_ms,
-                    inserted: count(inserted.len()),
-                    deleted: count(deleted.len()),
-                    motion: record.motion,
-                    volume_removed: record.volume_removed,
-                    totals: record.totals,
-                };
-                bytes.clear();
-                put_totals(bytes, &row.totals);
-                Changes::insert(connection, seal, &row, bytes)?;
-            }
-            for record in keys {
-                Keys::insert(connection, seal, head.keys_next, record)?;
-                head.keys_next += 1;
-            }
-            Ok(())
-        })?;
-        let numbers = self.database.head.keys_next - count(keys.len())..;
-        self.keys
-            .extend(keys.iter().map(|record| record.key.clone()).zip(numbers));
-        Ok(())
-    }
-
-    fn replay(
-        &mut self,
-        progress: &mut dyn FnMut(u32),
-        visit: &mut dyn FnMut(Replayed<'_>) -> bool,
-    ) -> Result<(), LogError> {
-        self.replay_all(progress, visit)
-    }
-}
-
 pub(super) fn count(count: usize) -> u64 {
     u64::try_from(count).expect("a count fits 64 bits")
 }
@@ -390,13 +393,14 @@ fn notices(
 mod tests {
     use super::*;
     use crate::geometry::{CubeId, Place, Totals};
-    use crate::log::Motion;
+    use crate::log::{Motion, Replayed};
 
     const KEEP: Keep = Keep {
         history_changes_max: 10,
         idempotency_keys_max: 10,
         revert_changes_max: 0,
         revert_bytes_max: 0,
+        snapshot_log_bytes_min: 1 << 24,
     };
 
     fn record(seq: u64, cubes: u64) -> Record {
@@ -430,7 +434,7 @@ mod tests {
             stock: None,
             settings: String::new(),
         };
-        let mut log = SceneLog::create(&path, &header, KEEP).unwrap();
+        let mut log = SceneLog::create(&Disk::default(), &path, &header, KEEP).unwrap();
         log.append(&[record(1, 1)], &[]).unwrap();
         let limit = |log: &SceneLog, pages: i64| {
             let connection = &log.database.connection;
@@ -449,7 +453,7 @@ mod tests {
         log.probe().unwrap();
         log.append(&[record(2, 100_000)], &[]).unwrap();
         drop(log);
-        let (mut log, notices) = SceneLog::open(&path, KEEP).unwrap();
+        let (mut log, notices) = SceneLog::open(&Disk::default(), &path, KEEP).unwrap();
         assert_eq!((log.seq(), notices), (Seq(2), vec![]));
         let mut counts = vec![];
         log.replay(&mut |_| {}, &mut |replayed| {

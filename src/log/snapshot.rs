@@ -13,8 +13,6 @@ use crate::geometry::{CUBES_MAX, CubeId, Place, Totals};
 const CHUNK_CUBES: usize = 1 << 16;
 const _: () = assert!(CUBES_MAX >> CHUNK_CUBES.ilog2() < CHUNKS_MAX);
 
-/// A log shorter than this is replayed in a moment.
-const LOG_BYTES_MIN: u64 = 16 << 20;
 /// About what a cube takes in a snapshot.
 const CUBE_BYTES: u64 = 16;
 /// What a change of one cube costs on replay beyond its cube, in bytes of operations.
@@ -38,7 +36,8 @@ impl SceneLog {
             None => (Seq(0), 0),
         };
         let log_bytes = head.operations_bytes - bytes + (head.seq.0 - seq.0) * CHANGE_BYTES;
-        self.under_way.is_none() && log_bytes > LOG_BYTES_MIN.max(cubes * CUBE_BYTES)
+        self.under_way.is_none()
+            && log_bytes > (cubes * CUBE_BYTES).max(self.keep.snapshot_log_bytes_min)
     }
 
     /// Begins a snapshot as of the newest seq. An unfinished one is dropped.

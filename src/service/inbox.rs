@@ -8,11 +8,7 @@ use std::time::{Duration, Instant};
 use parking_lot::{Condvar, Mutex};
 use tokio::sync::{Notify, futures::Notified, oneshot};
 
-use super::{Applied, Chain, Operations, ServiceError, Submission, meters};
-
-/// Operations that may wait in one queue, whatever the number of changes: bounds its memory (some hundred megabytes).
-/// A single larger change still fits an empty queue.
-const QUEUE_OPERATIONS_MAX: usize = 1 << 24;
+use super::{Applied, Chain, Operations, ServiceConfig, ServiceError, Submission, meters};
 
 /// Where the answer to a change goes.
 #[derive(Debug)]
@@ -137,7 +133,7 @@ impl Inbox {
     pub(super) fn submit(
         &self,
         pending: Box<Pending>,
-        changes_max: usize,
+        config: &ServiceConfig,
     ) -> Result<(), (Shut, Box<Pending>)> {
         let mut state = self.state.lock();
         if let Err(shut) = state.check() {
@@ -145,7 +141,9 @@ impl Inbox {
         }
         let operations = state.operations + pending.submission.operations();
         let waiting = state.changes.len();
-        if waiting >= changes_max || (waiting > 0 && operations > QUEUE_OPERATIONS_MAX) {
+        if waiting >= config.queue_changes_max
+            || (waiting > 0 && operations > config.queue_operations_max)
+        {
             return Err((Shut::Full { waiting }, pending));
         }
         state.operations = operations;

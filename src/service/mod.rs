@@ -26,9 +26,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use crate::engine::{Counts, Op, Rejected};
-use crate::geometry::{CubeId, Place, Totals};
+use crate::geometry::{CUBES_MAX, CubeId, Place, Totals};
 use crate::log::LogError;
-pub use crate::log::{HistoryRow, Motion, Seq};
+pub use crate::log::{Disk, HistoryRow, Motion, Seq};
 pub use meters::describe_metrics;
 pub use offline::{Offline, OfflineAudit};
 pub use registry::Service;
@@ -44,6 +44,9 @@ pub struct ServiceConfig {
     pub data: PathBuf,
     /// Changes that may wait in one scene's queue.
     pub queue_changes_max: usize,
+    /// Operations that may wait in one scene's queue, whatever the number of changes; a single larger change still fits an empty
+    /// queue. Bounds its memory (some hundred megabytes).
+    pub queue_operations_max: usize,
     /// Operations that one group commit takes together (a single larger change is taken alone).
     pub group_operations_max: usize,
     /// Newest changes whose totals are kept.
@@ -54,8 +57,16 @@ pub struct ServiceConfig {
     pub revert_changes_max: u64,
     /// Most bytes kept for that, per scene.
     pub revert_bytes_max: u64,
+    /// A log shorter than this since its last snapshot wants none. In bytes.
+    pub snapshot_log_bytes_min: u64,
     /// How long a stopped scene waits between two tries of the disk.
     pub probe_interval: Duration,
+    /// Most cubes of a scene.
+    pub scene_cubes_max: u64,
+    /// Scenes that are replayed at the same time: each replay can use all cores, and takes memory.
+    pub replays_max: usize,
+    /// The disk under the logs.
+    pub disk: Disk,
 }
 
 /// A scene's name: `[a-z0-9][a-z0-9._-]{0,62}`.
@@ -306,12 +317,17 @@ impl ServiceConfig {
         Self {
             data: data.into(),
             queue_changes_max: 1024,
+            queue_operations_max: 1 << 24,
             group_operations_max: 65_536,
             history_changes_max: 10_000_000,
             idempotency_keys_max: 100_000,
             revert_changes_max: 1_000_000,
             revert_bytes_max: 1 << 30,
+            snapshot_log_bytes_min: 16 << 20,
             probe_interval: Duration::from_secs(1),
+            scene_cubes_max: CUBES_MAX,
+            replays_max: 2,
+            disk: Disk::default(),
         }
     }
 }

@@ -7,7 +7,7 @@ use super::recover::{Compare, Halt, rebuild};
 use super::registry::lock_data;
 use super::{Audit, SceneName, StartError};
 use crate::engine::recount;
-use crate::log::{Keep, LogError, SceneLog};
+use crate::log::{Disk, Keep, LogError, SceneLog};
 
 /// A data directory, locked: no service can use it meanwhile.
 #[derive(Debug)]
@@ -85,8 +85,9 @@ impl Offline {
             idempotency_keys_max: u64::MAX,
             revert_changes_max: u64::MAX,
             revert_bytes_max: u64::MAX,
+            snapshot_log_bytes_min: u64::MAX,
         };
-        let (mut log, notices) = SceneLog::open(directory, keep)?;
+        let (mut log, notices) = SceneLog::open(&Disk::default(), directory, keep)?;
         let records = log.verify(&mut |permille| progress(permille / 2))?;
         let rebuilt = rebuild(
             &mut log,

@@ -11,7 +11,7 @@ use super::writer::{Live, inject};
 use super::{FaultStep, Published, Seq, meters};
 use crate::engine::Engine;
 use crate::geometry::{CubeId, Edge, Effect, Place, Totals};
-use crate::log::{Keep, Log, LogError, Replayed, SceneLog};
+use crate::log::{Keep, LogError, Replayed, SceneLog};
 
 /// Lets a few scenes at a time be replayed: each replay can use all cores, and memory is not counted twice.
 pub(super) struct Gate {
@@ -115,7 +115,8 @@ pub(super) fn reopen(scene: &Scene) -> Result<Live, Halt> {
     let ended = || scene.inbox.ended().is_some();
     let _pass = scene.setup.gate.enter(ended).ok_or(Halt::Ended)?;
     inject(scene, FaultStep::Open)?;
-    let (mut log, notices) = SceneLog::open(&scene.directory, keep(scene))?;
+    let (mut log, notices) =
+        SceneLog::open(&scene.setup.config.disk, &scene.directory, keep(scene))?;
     for notice in &notices {
         tracing::warn!(scene = scene.name().as_str(), "{notice}");
     }
@@ -140,6 +141,7 @@ pub(super) fn reopen(scene: &Scene) -> Result<Live, Halt> {
 /// Limits of what the scene's log keeps.
 pub(super) fn keep(scene: &Scene) -> Keep {
     Keep {
+        snapshot_log_bytes_min: scene.setup.config.snapshot_log_bytes_min,
         history_changes_max: scene.setup.config.history_changes_max,
         idempotency_keys_max: scene.setup.config.idempotency_keys_max,
         revert_changes_max: scene.setup.config.revert_changes_max,
@@ -171,6 +173,7 @@ pub(super) fn revive(scene: &Scene, mut log: SceneLog) -> Result<Live, Halt> {
         log,
         &published,
         rebuilt.next_id,
+        scene.setup.config.scene_cubes_max,
         Feed::new(rebuilt.engine, &published, history),
     ))
 }

@@ -21,10 +21,7 @@ use super::scene::{Scene, Setup, blocking};
 use super::writer::{self, Live};
 use super::{FaultHook, Readiness, SceneName, SceneState, ServiceConfig, ServiceError, StartError};
 use crate::geometry::{Edge, Stock};
-use crate::log::{Header, SceneLog, remove_leftovers, remove_scene};
-
-/// Scenes that are replayed at the same time.
-const REPLAYS_MAX: usize = 2;
+use crate::log::{Disk, Header, SceneLog, remove_leftovers, remove_scene};
 
 /// All scenes of a data directory.
 #[derive(Clone)]
@@ -81,32 +78,35 @@ impl Service {
     }
 
     fn open(config: ServiceConfig, faults: Option<FaultHook>) -> Result<Self, StartError> {
-        fs::create_dir_all(&config.data).map_err(|error| unusable(&config.data, &error))?;
+        let disk = config.disk.clone();
+        disk.create_directories(&config.data)
+            .map_err(|error| unusable(&config.data, &error))?;
         let lock = lock_data(&config.data)?;
         let scenes = config.data.join("scenes");
         let failed = |doing: &str, error: &io::Error| {
             StartError(format!("cannot {doing} {}: {error}", scenes.display()))
         };
-        fs::create_dir_all(&scenes).map_err(|error| failed("create", &error))?;
+        disk.create_directories(&scenes)
+            .map_err(|error| failed("create", &error))?;
         for directory in [config.data.parent(), Some(&config.data)]
             .into_iter()
             .flatten()
             .filter(|path| !path.as_os_str().is_empty())
         {
-            let synced = File::open(directory).and_then(|directory| directory.sync_all());
-            synced.map_err(|error| unusable(directory, &error))?;
+            disk.sync_directory(directory)
+                .map_err(|error| unusable(directory, &error))?;
         }
-        remove_leftovers(&scenes).map_err(|error| failed("clean", &error))?;
+        remove_leftovers(&disk, &scenes).map_err(|error| failed("clean", &error))?;
         let setup = Arc::new(Setup {
+            gate: Gate::new(config.replays_max),
             config,
-            gate: Gate::new(REPLAYS_MAX),
             faults,
         });
         let mut found = Vec::new();
-        for entry in fs::read_dir(&scenes).map_err(|error| failed("read", &error))? {
-            let path = entry.map_err(|error| failed("read", &error))?.path();
-            let text = path.file_name().unwrap_or_default().to_string_lossy();
-            match SceneName::new(&text) {
+        let names = disk.list_directory(&scenes);
+        for text in names.map_err(|error| failed("read", &error))? {
+            let path = scenes.join(&text);
+            match SceneName::new(&text.to_string_lossy()) {
                 Ok(name) if path.is_dir() => {
                     let bytes = size_bytes(&path);
                     found.push((Arc::new(Scene::new(name, path, setup.clone())), bytes));
@@ -257,19 +257,24 @@ impl Registry {
             stock,
             settings: settings.to_owned(),
         };
-        let begun = SceneLog::create(&scene.directory, &header, keep(&scene))
-            .map_err(Halt::from)
-            .and_then(|log| revive(&scene, log))
-            .map_err(refusal)
-            .and_then(|live| {
-                // Before the thread runs: the answer to `create` must not be followed by a refusal.
-                live.begin(&scene);
-                spawn(&scene, Some(live)).map_err(|error| storage(&error))
-            });
+        let begun = SceneLog::create(
+            &self.setup.config.disk,
+            &scene.directory,
+            &header,
+            keep(&scene),
+        )
+        .map_err(Halt::from)
+        .and_then(|log| revive(&scene, log))
+        .map_err(refusal)
+        .and_then(|live| {
+            // Before the thread runs: the answer to `create` must not be followed by a refusal.
+            live.begin(&scene);
+            spawn(&scene, Some(live)).map_err(|error| storage(&error))
+        });
         if let Err(error) = begun {
             // Nobody was told of the scene: it must not be there after a restart either.
             if scene.directory.exists()
-                && let Err(error) = discard(&scene.directory)
+                && let Err(error) = discard(&self.setup.config.disk, &scene.directory)
             {
                 tracing::error!("{} is left: {error}", scene.directory.display());
             }
@@ -288,7 +293,7 @@ impl Registry {
         };
         scene.announce_end(End::Dropped);
         scene.finish_end(End::Dropped);
-        match discard(&scene.directory) {
+        match discard(&self.setup.config.disk, &scene.directory) {
             Ok(()) => {
                 self.scenes.remove(name.as_str());
                 tracing::info!(scene = name.as_str(), "dropped");
@@ -417,8 +422,8 @@ fn size_bytes(directory: &Path) -> u64 {
 }
 
 /// Takes a scene's files away: durably when it returns.
-fn discard(directory: &Path) -> io::Result<()> {
-    match remove_scene(directory) {
+fn discard(disk: &Disk, directory: &Path) -> io::Result<()> {
+    match remove_scene(disk, directory) {
         // It is gone; only its space was not given back, which the next start does.
         Err(error) if !directory.exists() => {
             tracing::warn!("some of {} is left: {error}", directory.display());

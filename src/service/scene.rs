@@ -167,7 +167,7 @@ impl Scene {
         }
         let (pending, answer) = Pending::new(submission, None);
         self.inbox
-            .submit(pending, self.setup.config.queue_changes_max)
+            .submit(pending, &self.setup.config)
             .map_err(|(shut, _)| self.refusal_of(shut))?;
         answer.await.unwrap_or_else(|_| Err(self.refusal()))
     }
@@ -191,10 +191,7 @@ impl Scene {
             // Before the try: room that comes right after it is not missed.
             let mut room = pin!(self.inbox.room());
             room.as_mut().enable();
-            match self
-                .inbox
-                .submit(pending, self.setup.config.queue_changes_max)
-            {
+            match self.inbox.submit(pending, &self.setup.config) {
                 Ok(()) => break,
                 Err((Shut::Full { .. }, back)) => pending = back,
                 Err((shut, _)) => return Err(self.refusal_of(shut)),

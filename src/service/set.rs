@@ -220,7 +220,7 @@ mod tests {
 
     use super::*;
     use crate::engine::Op;
-    use crate::geometry::{Edge, Totals};
+    use crate::geometry::{CUBES_MAX, Edge, Totals};
 
     const EDGE: i32 = 24;
     const SIDE: u64 = 120;
@@ -329,7 +329,10 @@ mod tests {
                             ops.push(Op::Insert(id, random.place(edge)));
                         }
                     }
-                    let effect = set.look(|engine| engine.judge(&ops)).unwrap().effect;
+                    let effect = set
+                        .look(|engine| engine.judge(&ops, CUBES_MAX))
+                        .unwrap()
+                        .effect;
                     let points = [(); 5].map(|()| random.point());
                     let mut ids = [(); 5].map(|()| CubeId(random.below(600)));
                     if let Some((id, _)) = effect.deleted.first() {

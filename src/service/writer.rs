@@ -23,7 +23,7 @@ use super::{
 };
 use crate::engine::{Access, Counts, Engine, Judged, Op};
 use crate::geometry::{CubeId, Effect, Place, Totals};
-use crate::log::{Answer, KeyRecord, Log, LogError, Record, SceneLog, Step};
+use crate::log::{Answer, KeyRecord, LogError, Record, SceneLog, Step};
 
 /// Cubes that one step of a snapshot writes: a few milliseconds between two groups.
 const SNAPSHOT_CHUNK_CUBES: usize = 65_536;
@@ -38,6 +38,8 @@ pub(super) struct Live {
     published: Published,
     /// The next id the server may give; 0 when there is none left.
     next_id: u64,
+    /// Most cubes of the scene.
+    cubes_max: u64,
     feed: Arc<Feed>,
     upkeep: Upkeep,
     /// Whose commit has failed.
@@ -167,11 +169,18 @@ fn stop(scene: &Scene, error: &LogError) -> bool {
 }
 
 impl Live {
-    pub(super) fn new(log: SceneLog, published: &Published, next_id: u64, feed: Feed) -> Self {
+    pub(super) fn new(
+        log: SceneLog,
+        published: &Published,
+        next_id: u64,
+        cubes_max: u64,
+        feed: Feed,
+    ) -> Self {
         Self {
             log,
             published: *published,
             next_id,
+            cubes_max,
             feed: Arc::new(feed),
             upkeep: Upkeep::Rest(None),
             unanswered: Vec::new(),
@@ -315,7 +324,10 @@ impl Live {
         operations: Operations,
     ) -> Result<(Judged, Option<IdRange>), ServiceError> {
         let (ops, assigned) = self.number(operations)?;
-        let judged = self.feed.set.look(|engine| engine.judge(&ops));
+        let judged = self
+            .feed
+            .set
+            .look(|engine| engine.judge(&ops, self.cubes_max));
         let judged = judged.inspect_err(|_| meters::refused())?;
         Ok((judged, assigned))
     }

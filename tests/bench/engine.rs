@@ -9,7 +9,7 @@ mod workload;
 
 use criterion::{BatchSize, BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use union3d::engine::{Bare, Engine, Op, recount};
-use union3d::geometry::{CubeId, Edge, Effect, Place};
+use union3d::geometry::{CUBES_MAX, CubeId, Edge, Effect, Place};
 use workload::{EDGE_STEPS, Workload};
 
 const CUBES: usize = 100_000;
@@ -142,7 +142,7 @@ fn reads(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("reads");
     group.throughput(Throughput::Elements(OPS as u64));
     group.bench_function("judge", |bencher| {
-        bencher.iter(|| engine.judge(&ops).unwrap());
+        bencher.iter(|| engine.judge(&ops, CUBES_MAX).unwrap());
     });
     group.bench_function("contains", |bencher| {
         bencher.iter(|| {
