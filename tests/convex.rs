@@ -1,9 +1,12 @@
 //! Convex solids: hulls, sweeps and cutters against definitions tried out point by point.
 
 use std::collections::BTreeSet;
+use std::f64::consts::PI;
+use std::sync::Arc;
 
 use union3d::geometry::convex::{
-    EXTENT_MAX, InvalidSolid, InvalidSweep, Plane, Point, Solid, VERTICES_MAX,
+    Body, Cutter, Deviation, EXTENT_MAX, End, Fit, InvalidBody, InvalidCutter, InvalidSolid,
+    InvalidSweep, Part, Plane, Point, STRAIGHT_ANGLE, Shape, Solid, VERTICES_MAX,
 };
 
 /// A small generator (splitmix64), so that a printed seed gives the same case everywhere.
@@ -194,7 +197,7 @@ fn hulls_of_everything_in_the_smallest_world() {
 
 /// Lattice points near a sphere, spread evenly.
 fn sphere(count: usize, radius: f64) -> Vec<Point> {
-    let golden = std::f64::consts::PI * (3.0 - 5.0_f64.sqrt());
+    let golden = PI * (3.0 - 5.0_f64.sqrt());
     let at = |number: usize| {
         let z = 1.0 - (2.0 * number as f64 + 1.0) / count as f64;
         let (sine, cosine) = (golden * number as f64).sin_cos();
@@ -210,7 +213,7 @@ fn large_hulls() {
         let solid = Solid::hull(&sphere(count, radius)).unwrap();
         assert_eq!(solid.vertices().len(), count);
         let volume = solid.volume6() as f64 / 6.0;
-        let ball = 4.0 / 3.0 * std::f64::consts::PI * radius.powi(3);
+        let ball = 4.0 / 3.0 * PI * radius.powi(3);
         assert!(volume < ball * 1.001 && volume > ball * 0.97);
         if count < 1000 {
             check_solid(&solid);
@@ -442,4 +445,488 @@ fn sweeps_beyond_the_limits_are_refused() {
     let ball = Solid::hull(&sphere(VERTICES_MAX, 1_000_000.0)).unwrap();
     let refused = ball.swept(Point::ORIGIN, point([10, 0, 0])).unwrap_err();
     assert!(matches!(refused, InvalidSolid::TooManyVertices { count } if count > VERTICES_MAX));
+}
+
+const FITS: [Fit; 3] = [Fit::EqualArea, Fit::Inscribed, Fit::Circumscribed];
+
+fn flat(diameter: u32, sides: u16, fit: Fit) -> Cutter {
+    Cutter {
+        end: End::Flat,
+        diameter,
+        length: 10,
+        sides,
+        fit,
+    }
+}
+
+/// The outline of the round cutter as pairs of a radius and a height, dense where it is curved.
+fn outline(cutter: &Cutter) -> Vec<[f64; 2]> {
+    let radius = f64::from(cutter.diameter) / 2.0;
+    let length = f64::from(cutter.length);
+    let mut outline = match cutter.end {
+        End::Flat => vec![[0.0, 0.0], [radius, 0.0]],
+        End::Round {
+            corner_diameter, ..
+        } => {
+            let corner = f64::from(corner_diameter) / 2.0;
+            let on_arc = |part: i32| {
+                let (sine, cosine) = (f64::from(part) / 400.0 * PI / 2.0).sin_cos();
+                [radius - corner + corner * sine, corner - corner * cosine]
+            };
+            (0..=400).map(on_arc).collect()
+        }
+        End::Cone {
+            tip_diameter,
+            angle,
+        } => {
+            let tip = f64::from(tip_diameter) / 2.0;
+            let half_angle = f64::from(angle) / 2e6 * PI / 180.0;
+            let height = (radius - tip) / half_angle.tan();
+            vec![[0.0, 0.0], [tip, 0.0], [radius, height]]
+        }
+    };
+    outline.push([radius, length]);
+    outline
+}
+
+/// The volume of the round cutter.
+fn volume(cutter: &Cutter) -> f64 {
+    let frustum = |pair: &[[f64; 2]]| {
+        let [[r, z], [s, top]] = [pair[0], pair[1]];
+        PI / 3.0 * (top - z) * (r * r + r * s + s * s)
+    };
+    outline(cutter).windows(2).map(frustum).sum()
+}
+
+/// The cutters that the tests below look at.
+fn some_cutters() -> Vec<Cutter> {
+    let mut cutters = Vec::new();
+    for fit in FITS {
+        for (diameter, length, sides) in [
+            (60_000, 250_000, 32),
+            (601, 2000, 12),
+            (9_999, 20_000, 7),
+            (31, 90, 24),
+        ] {
+            let round = |corner_diameter, rings| End::Round {
+                corner_diameter,
+                rings,
+            };
+            let cone = |tip_diameter, angle| End::Cone {
+                tip_diameter,
+                angle,
+            };
+            for end in [
+                End::Flat,
+                round(diameter, 8),
+                round(diameter, 2),
+                round(diameter / 3, 4),
+                round(diameter / 20, 4),
+                cone(0, 118_000_000),
+                cone(diameter / 30, 60_000_000),
+                cone(diameter / 7 * 5, 20_000_000),
+                cone(diameter - 1, 179_000_000),
+            ] {
+                cutters.push(Cutter {
+                    end,
+                    diameter,
+                    length,
+                    sides,
+                    fit,
+                });
+            }
+        }
+    }
+    cutters
+}
+
+#[test]
+fn cutters_are_as_far_from_round_ones_as_they_say() {
+    for cutter in some_cutters() {
+        println!("{cutter:?}");
+        let (solid, deviation) = cutter.solid().unwrap();
+        check_solid(&solid);
+        assert!(solid.has_top());
+        let steps = |units: u64| units as f64 / Deviation::STEP as f64;
+        let outline = outline(&cutter);
+        // Vertices outside the round cutter: their distance from the outline, when they are on the outer side of it.
+        let mut outside: f64 = 0.0;
+        for vertex in solid.vertices() {
+            let [x, y, z] = vertex.wide().map(|part| part as f64);
+            let r = x.hypot(y);
+            let mut nearest = f64::MAX;
+            let mut inside = true;
+            for pair in outline.windows(2) {
+                let ([r0, z0], [r1, z1]) = (pair[0], pair[1]);
+                let (dr, dz) = (r1 - r0, z1 - z0);
+                let length = dr.hypot(dz);
+                if length == 0.0 {
+                    continue;
+                }
+                inside &= dr * (z - z0) - dz * (r - r0) > -1e-9 * length;
+                let along = (((r - r0) * dr + (z - z0) * dz) / length / length).clamp(0.0, 1.0);
+                nearest = nearest.min((r - r0 - along * dr).hypot(z - z0 - along * dz));
+            }
+            if !inside {
+                outside = outside.max(nearest);
+            }
+        }
+        assert!(
+            outside <= steps(deviation.outside) + 1e-3,
+            "{outside} {deviation:?}"
+        );
+        // Points of the round cutter outside the solid.
+        let mut inside: f64 = 0.0;
+        for plane in solid.planes() {
+            let [nx, ny, nz] = plane.normal().map(|part| part as f64);
+            let length = (nx * nx + ny * ny + nz * nz).sqrt();
+            let across = nx.hypot(ny);
+            for &[r, z] in &outline {
+                let out = (across * r + nz * z + plane.offset() as f64) / length;
+                inside = inside.max(out);
+            }
+        }
+        assert!(
+            inside <= steps(deviation.inside) + 1e-3,
+            "{inside} {deviation:?}"
+        );
+        // The claim is a claim: it is not far from the truth, nor the solid far from the round one.
+        let radius = f64::from(cutter.diameter) / 2.0;
+        let of_polygon = radius / (PI / f64::from(cutter.sides)).cos() - radius;
+        assert!(
+            steps(deviation.outside.max(deviation.inside))
+                <= 4.0 * (of_polygon + radius * 0.1) + 3.0
+        );
+        match (cutter.end, cutter.fit) {
+            (End::Flat, Fit::Inscribed) => assert_eq!(deviation.outside, 0),
+            (End::Flat, Fit::Circumscribed) => assert_eq!(deviation.inside, 0),
+            _ => {}
+        }
+    }
+}
+
+#[test]
+fn deviations_are_the_distances_of_the_polygon() {
+    // A square of equal area, by hand: its vertices are at (+-886, +-886), sqrt(pi)/2 = 0.886.
+    let (solid, deviation) = flat(2000, 4, Fit::EqualArea).solid().unwrap();
+    assert_eq!(solid.bounds().max, [886, 886, 10]);
+    let step = Deviation::STEP as f64;
+    assert_eq!(
+        deviation.outside,
+        ((886.0 * 2.0_f64.sqrt() - 1000.0) * step).ceil() as u64
+    );
+    assert_eq!(deviation.inside, 114 * Deviation::STEP);
+    let (solid, deviation) = flat(2000, 4, Fit::Circumscribed).solid().unwrap();
+    assert_eq!(solid.bounds().max, [1000, 1000, 10]);
+    assert_eq!(deviation.inside, 0);
+    let (solid, deviation) = flat(2000, 4, Fit::Inscribed).solid().unwrap();
+    assert_eq!(solid.bounds().max, [707, 707, 10]);
+    assert_eq!(
+        (deviation.outside, deviation.inside),
+        (0, 293 * Deviation::STEP)
+    );
+}
+
+#[test]
+fn polygons_fit_their_circles_exactly() {
+    for diameter in (1..60).chain([1001, 65_537, 1 << 20]) {
+        for sides in [3, 4, 5, 8, 16, 31, 64, 1024] {
+            for fit in FITS {
+                let Ok((solid, _)) = flat(diameter, sides, fit).solid() else {
+                    // So small that its vertices are in one line.
+                    assert!(
+                        diameter < 4 && fit != Fit::Circumscribed,
+                        "{diameter} {sides} {fit:?}"
+                    );
+                    continue;
+                };
+                // Twice the vertices and the diameter, so that all are whole numbers.
+                let squared = i128::from(diameter) * i128::from(diameter);
+                let facet = solid
+                    .facets()
+                    .find(|facet| facet.plane.normal()[2] < 0)
+                    .unwrap();
+                for place in 0..facet.vertices.len() {
+                    let next = (place + 1) % facet.vertices.len();
+                    let [[ax, ay, _], [bx, by, _]] = [place, next].map(|place| {
+                        let vertex = solid.vertices()[usize::from(facet.vertices[place])];
+                        vertex.wide().map(|part| 2 * i128::from(part))
+                    });
+                    let (cross, dx, dy) = (ax * by - ay * bx, bx - ax, by - ay);
+                    match fit {
+                        Fit::Inscribed => assert!(ax * ax + ay * ay <= squared),
+                        Fit::Circumscribed => {
+                            assert!(cross * cross >= squared * (dx * dx + dy * dy))
+                        }
+                        Fit::EqualArea => {}
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn volumes_converge_to_those_of_round_cutters() {
+    let mut last = f64::MAX;
+    for (sides, rings) in [(8, 4), (16, 8), (32, 16), (64, 32)] {
+        let mut worst: f64 = 0.0;
+        for end in [
+            End::Flat,
+            End::Round {
+                corner_diameter: 1 << 19,
+                rings,
+            },
+            End::Round {
+                corner_diameter: 1 << 18,
+                rings,
+            },
+            End::Cone {
+                tip_diameter: 1 << 15,
+                angle: 90_000_000,
+            },
+        ] {
+            let cutter = Cutter {
+                end,
+                diameter: 1 << 19,
+                length: 1 << 20,
+                sides,
+                fit: Fit::EqualArea,
+            };
+            let (solid, _) = cutter.solid().unwrap();
+            let found = solid.volume6() as f64 / 6.0;
+            worst = worst.max((found / volume(&cutter) - 1.0).abs());
+        }
+        println!("{sides} sides, {rings} rings: {worst:e}");
+        assert!(worst < last / 2.5);
+        last = worst;
+    }
+    assert!(last < 1e-3);
+}
+
+#[test]
+fn trapezoids_of_a_ball_are_single_facets() {
+    let ball = End::Round {
+        corner_diameter: 60_000,
+        rings: 8,
+    };
+    let cutter = Cutter {
+        end: ball,
+        diameter: 60_000,
+        length: 250_000,
+        sides: 32,
+        fit: Fit::EqualArea,
+    };
+    let (solid, _) = cutter.solid().unwrap();
+    // The tip, seven belts of trapezoids, the shank and its top.
+    assert_eq!(solid.planes().len(), 1 + 7 * 32 + 32 + 1);
+    assert_eq!(solid.bounds().min[2], 0);
+    assert_eq!(solid.bounds().max[2], 250_000);
+}
+
+#[test]
+fn the_same_cutter_has_the_same_vertices_everywhere() {
+    // A digest of all vertices (FNV-1a), which no processor and no optimisation may change.
+    let mut digest: u64 = 0xcbf2_9ce4_8422_2325;
+    for cutter in some_cutters() {
+        for vertex in cutter.solid().unwrap().0.vertices() {
+            for byte in vertex
+                .coordinates()
+                .iter()
+                .flat_map(|part| part.to_le_bytes())
+            {
+                digest = (digest ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
+            }
+        }
+    }
+    assert_eq!(format!("{digest:016x}"), "3da6140c61af34ad");
+}
+
+#[test]
+fn cutters_that_do_not_exist_are_refused() {
+    let good = Cutter {
+        end: End::Flat,
+        diameter: 100,
+        length: 100,
+        sides: 16,
+        fit: Fit::EqualArea,
+    };
+    let round = |corner_diameter, rings| End::Round {
+        corner_diameter,
+        rings,
+    };
+    let cone = |tip_diameter, angle| End::Cone {
+        tip_diameter,
+        angle,
+    };
+    for (cutter, message) in [
+        (
+            Cutter { sides: 2, ..good },
+            "sides = 2 is outside 3 to 1024",
+        ),
+        (
+            Cutter {
+                sides: 1025,
+                ..good
+            },
+            "sides = 1025 is outside 3 to 1024",
+        ),
+        (
+            Cutter {
+                diameter: 0,
+                ..good
+            },
+            "the diameter of 0 steps is outside 1 to 2097152",
+        ),
+        (
+            Cutter {
+                diameter: 1 << 22,
+                ..good
+            },
+            "the diameter of 4194304 steps is outside 1 to 2097152",
+        ),
+        (
+            Cutter { length: 0, ..good },
+            "the length of 0 steps leaves no shank above the end, which is 0 steps high",
+        ),
+        (
+            Cutter {
+                end: round(101, 4),
+                ..good
+            },
+            "the diameter of the corner, 101 steps, is outside 1 to the cutter's 100",
+        ),
+        (
+            Cutter {
+                end: round(0, 4),
+                ..good
+            },
+            "the diameter of the corner, 0 steps, is outside 1 to the cutter's 100",
+        ),
+        (
+            Cutter {
+                end: round(100, 1),
+                ..good
+            },
+            "rings = 1 is outside 2 to 64",
+        ),
+        (
+            Cutter {
+                end: round(100, 8),
+                length: 50,
+                ..good
+            },
+            "the length of 50 steps leaves no shank above the end, which is 50 steps high",
+        ),
+        (
+            Cutter {
+                end: cone(100, 60_000_000),
+                ..good
+            },
+            "the diameter of the tip, 100 steps, is not below the cutter's 100",
+        ),
+        (
+            Cutter {
+                end: cone(0, 0),
+                ..good
+            },
+            "the angle of 0 millionths of a degree is not between 0 and 180000000",
+        ),
+        (
+            Cutter {
+                end: cone(0, STRAIGHT_ANGLE),
+                ..good
+            },
+            "the angle of 180000000 millionths of a degree is not between 0 and 180000000",
+        ),
+        (
+            Cutter {
+                end: cone(0, 60_000_000),
+                length: 87,
+                ..good
+            },
+            "the length of 87 steps leaves no shank above the end, which is 87 steps high",
+        ),
+        (
+            Cutter {
+                diameter: 1,
+                ..good
+            },
+            "the points lie in one plane, so there is no volume between them",
+        ),
+        (
+            Cutter {
+                length: 1 << 22,
+                ..good
+            },
+            "it is 4194304 steps long along z; the most is 2097152",
+        ),
+    ] {
+        assert_eq!(
+            cutter.solid().unwrap_err().to_string(),
+            message,
+            "{cutter:?}"
+        );
+    }
+    let many = Cutter {
+        end: round(1 << 20, 64),
+        diameter: 1 << 20,
+        length: 1 << 20,
+        sides: 1024,
+        ..good
+    };
+    let refused = many.solid().unwrap_err();
+    assert!(matches!(
+        refused,
+        InvalidCutter::Solid(InvalidSolid::TooManyVertices { .. })
+    ));
+}
+
+#[test]
+fn bodies_are_their_parts_swept() {
+    let part = |low: [i64; 3], high: [i64; 3], top| Part {
+        solid: Solid::cuboid(point(low), point(high)).unwrap(),
+        top,
+    };
+    let parts = vec![
+        part([0, 0, 0], [2, 2, 3], None),
+        part([-1, -1, 3], [3, 3, 5], Some(20)),
+    ];
+    let shape = Arc::new(Shape::new(parts.clone()).unwrap());
+    let (from, to) = (point([1, 2, 3]), point([4, 4, 4]));
+    let body = Body::swept(shape.clone(), from, to).unwrap();
+    let solids: Vec<_> = body.solids().collect();
+    assert_eq!(
+        description(&solids[0]),
+        description(&parts[0].solid.swept(from, to).unwrap())
+    );
+    let raised = parts[1].solid.swept_to_top(from, to, 20).unwrap();
+    assert_eq!(description(&solids[1]), description(&raised));
+    assert_eq!(solids.len(), 2);
+    // Equality is that of the shape itself and its way, or of the set of points.
+    assert_eq!(body, Body::swept(shape.clone(), from, to).unwrap());
+    assert_ne!(body, Body::swept(shape.clone(), to, from).unwrap());
+    assert_ne!(
+        body,
+        Body::swept(Arc::new(Shape::new(parts).unwrap()), from, to).unwrap()
+    );
+    let mut cloud = points([[0, 0, 0], [2, 0, 0], [0, 2, 0], [0, 0, 2]]);
+    let own = Body::own(Solid::hull(&cloud).unwrap());
+    cloud.reverse();
+    cloud.push(point([1, 0, 0]));
+    assert_eq!(own, Body::own(Solid::hull(&cloud).unwrap()));
+    assert_ne!(own, body);
+    let high = point([0, 0, 16]);
+    let fault = InvalidSweep::AboveTop {
+        reached: 21,
+        top: 20,
+    };
+    assert_eq!(
+        Body::swept(shape, from, high).unwrap_err(),
+        InvalidBody { part: 1, fault }
+    );
+    assert_eq!(
+        Shape::new(vec![]).unwrap_err().to_string(),
+        "a shape of 0 parts; it has from 1 to 64"
+    );
 }

@@ -18,17 +18,24 @@
 //! ([`EXTENT_MAX`]). The const assertions of `limits.rs` follow the bounds from there to the determinant of four planes.
 
 mod builder;
+mod cutter;
+mod fixed;
 mod hull;
 mod limits;
 mod plane;
 mod point;
+mod polygon;
+mod shape;
 mod solid;
 mod sweep;
 mod vector;
 
+pub use cutter::{Cutter, End, InvalidCutter, RINGS_MAX, SIDES_MAX, STRAIGHT_ANGLE};
 pub use limits::{EXTENT_MAX, VERTICES_MAX};
 pub use plane::Plane;
 pub use point::{InvalidPoint, Point};
+pub use polygon::{Deviation, Fit};
+pub use shape::{Body, InvalidBody, InvalidShape, PARTS_MAX, Part, Shape};
 pub use solid::{Edge, Facet, InvalidSolid, Solid};
 pub use sweep::InvalidSweep;
 pub use vector::{cross, dot};
