@@ -4,6 +4,8 @@ WORKDIR /union3d
 COPY Cargo.toml Cargo.lock ./
 COPY proto proto
 COPY src src
+# Only for the manifests of the other members of the workspace.
+COPY tests tests
 RUN cargo build --release --locked --bin union3d \
     && mkdir /data
 

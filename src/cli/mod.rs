@@ -1,7 +1,6 @@
 //! The subcommands: each a file with its arguments and a `run`.
 
 mod audit;
-mod bench;
 mod client;
 mod cutter;
 mod demo;
@@ -35,7 +34,6 @@ enum Command {
     Mill(mill::Args),
     Measure(measure::Args),
     Audit(audit::Args),
-    Bench(bench::Args),
 }
 
 /// Reads the arguments, runs the subcommand and reports its error, if any, as one line on standard error.
@@ -46,7 +44,6 @@ pub(crate) fn main() -> ExitCode {
         Command::Mill(args) => mill::run(args),
         Command::Measure(args) => measure::run(args),
         Command::Audit(args) => audit::run(args),
-        Command::Bench(args) => bench::run(args),
     };
     outcome.unwrap_or_else(|error| {
         eprintln!("union3d: {error}");

@@ -23,10 +23,3 @@ pub(crate) fn bytes(size: Option<u64>) -> ProgressBar {
 pub(crate) fn line(bar: &ProgressBar, text: &str) {
     bar.suspend(|| eprintln!("{text}"));
 }
-
-/// A spinner for work of unknown length that says what is being done.
-pub(crate) fn work() -> ProgressBar {
-    let bar = ProgressBar::new_spinner();
-    bar.enable_steady_tick(Duration::from_millis(200));
-    bar
-}

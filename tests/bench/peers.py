@@ -66,7 +66,7 @@ def union3d(program, corners, runs):
             numbers.byteswap()
         file.write(numbers.tobytes())
         file.flush()
-        command = [program, "bench", "peers", "--cubes", file.name, "--edge", str(EDGE), "--runs", str(runs)]
+        command = [program, "peers", "--cubes", file.name, "--edge", str(EDGE), "--runs", str(runs)]
         return json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout)
 
 

@@ -1,16 +1,15 @@
-//! `union3d bench peers`: our side of a comparison with another program on the same cubes.
+//! `union3d-bench peers`: our side of a comparison with another program on the same cubes.
 
 use std::path::PathBuf;
-use std::process::ExitCode;
 use std::time::Instant;
 
 use serde::Serialize;
 use union3d::geometry::{CubeId, Edge};
 
 use super::cubes::{numbered, read};
+use super::failure::Failure;
 use super::figures::{float_of_wide, median, parse_count};
 use super::sets::{Online, Set, each};
-use crate::cli::Outcome;
 
 /// Cubes that are inserted once more, one after the other, each into the same set.
 const SINGLE_INSERTS: usize = 1_000;
@@ -45,8 +44,8 @@ struct Answer {
     area: f64,
 }
 
-/// Runs `bench peers`.
-pub(crate) fn run(args: &Args) -> Outcome {
+/// Runs `union3d-bench peers`.
+pub(crate) fn run(args: &Args) -> Result<(), Failure> {
     let edge = Edge::new(args.edge)?;
     let cubes = numbered(read(&args.cubes, edge)?);
     let Some((last, batch)) = cubes.split_last().filter(|(_, batch)| !batch.is_empty()) else {
@@ -81,5 +80,5 @@ pub(crate) fn run(args: &Args) -> Outcome {
         area: float_of_wide(measures.area()),
     };
     println!("{}", serde_json::to_string(&answer)?);
-    Ok(ExitCode::SUCCESS)
+    Ok(())
 }

@@ -1,7 +1,7 @@
-//! `union3d bench union3`: Table 1 of UNION3's paper, twenty million random cubes.
+//! `union3d-bench union3`: Table 1 of UNION3's paper, twenty million random cubes.
 
 use std::num::NonZero;
-use std::process::{Command, ExitCode};
+use std::process::Command;
 use std::time::Instant;
 
 use clap::ValueEnum;
@@ -10,13 +10,14 @@ use union3d::engine::{EngineSize, recount};
 use union3d::geometry::{CubeId, Edge, Effect, Measures, Place, VertexKind};
 
 use super::expected::{self, Rows};
+use super::failure::Failure;
 use super::figures::{float, float_of_wide, median, parse_count};
 use super::machine::{Resident, resident};
+use super::progress;
 use super::random::Random;
 use super::sets::{Online, Set};
 use super::table::{Cell, Report, Table, figure, text};
 use super::workload::side;
-use crate::cli::{Outcome, progress};
 
 /// The paper's cubes, their edge and the side of their box. Units: the edge is 30 of the side's 32,768.
 const PAPER_CUBES: usize = 20_000_000;
@@ -104,12 +105,12 @@ struct Measured {
     degenerate: i64,
 }
 
-/// Runs `bench union3`.
-pub(crate) fn run(args: &Args) -> Outcome {
+/// Runs `union3d-bench union3`.
+pub(crate) fn run(args: &Args) -> Result<(), Failure> {
     if let Some(way) = args.way {
         let outcome = measure(way, args.cubes, args.seed)?;
         println!("{}", serde_json::to_string(&outcome)?);
-        return Ok(ExitCode::SUCCESS);
+        return Ok(());
     }
     let mut report = Report::new();
     let bar = progress::work();
@@ -179,18 +180,14 @@ pub(crate) fn run(args: &Args) -> Outcome {
     report.push(table);
     report.print(args.json)?;
     if agree {
-        Ok(ExitCode::SUCCESS)
+        Ok(())
     } else {
         Err("a row of the table is not what is expected".into())
     }
 }
 
 /// Every row beside the paper's and the formulas; and whether all are as expected.
-fn compare(
-    args: &Args,
-    found: &Measured,
-    errors: [f64; 6],
-) -> Result<(Table, bool), Box<dyn std::error::Error>> {
+fn compare(args: &Args, found: &Measured, errors: [f64; 6]) -> Result<(Table, bool), Failure> {
     let mut table = Table::new(
         "Table 1",
         "Lengths in sides of the box. `formula` is the paper's, without borders; `expected` is for a box with borders; `off` in standard \
@@ -252,11 +249,11 @@ fn compare(
     Ok((table, agree))
 }
 
-fn in_a_process(way: Way, args: &Args) -> Result<Measured, Box<dyn std::error::Error>> {
+fn in_a_process(way: Way, args: &Args) -> Result<Measured, Failure> {
     let value = way.to_possible_value().expect("no way is skipped");
     let (cubes, seed) = (args.cubes.to_string(), args.seed.to_string());
     let output = Command::new(std::env::current_exe()?)
-        .args(["bench", "union3", "--way", value.get_name()])
+        .args(["union3", "--way", value.get_name()])
         .args(["--cubes", &cubes, "--seed", &seed])
         .output()?;
     if !output.status.success() {
@@ -265,7 +262,7 @@ fn in_a_process(way: Way, args: &Args) -> Result<Measured, Box<dyn std::error::E
     Ok(serde_json::from_slice(&output.stdout)?)
 }
 
-fn measure(way: Way, cubes: usize, seed: u64) -> Result<Measured, Box<dyn std::error::Error>> {
+fn measure(way: Way, cubes: usize, seed: u64) -> Result<Measured, Failure> {
     let edge = Edge::new(EDGE_STEPS)?;
     let mut places = places(edge, cubes, box_side(cubes)?, seed);
     let threads = NonZero::new(if way == Way::Batch2 { 2 } else { 1 });
@@ -326,7 +323,7 @@ fn places(edge: Edge, cubes: usize, side: i64, seed: u64) -> impl FnMut() -> Pla
 }
 
 /// The rows of the table, in sides of the box.
-fn rows(measures: &Measures, cubes: usize) -> Result<[f64; 6], Box<dyn std::error::Error>> {
+fn rows(measures: &Measures, cubes: usize) -> Result<[f64; 6], Failure> {
     let side = float(u64::try_from(box_side(cubes)?)?);
     let vertices = |kind| float_of_wide(measures.vertices_of(kind).into());
     Ok(Rows {
@@ -341,7 +338,7 @@ fn rows(measures: &Measures, cubes: usize) -> Result<[f64; 6], Box<dyn std::erro
 }
 
 /// How far a row is usually off: from the variance in smaller boxes at the same density, which grows with the number of cubes.
-fn standard_errors(cubes: usize, seed: u64) -> Result<[f64; 6], Box<dyn std::error::Error>> {
+fn standard_errors(cubes: usize, seed: u64) -> Result<[f64; 6], Failure> {
     let edge = Edge::new(EDGE_STEPS)?;
     let sample_cubes = (cubes / SAMPLE_PART).max(SAMPLE_CUBES_MIN);
     let sample_side = box_side(sample_cubes)?;

@@ -7,7 +7,7 @@ use clap::ValueEnum;
 use prost::Message;
 use union3d::wire::proto::Change;
 
-use crate::cli::bench::random::Random;
+use crate::random::Random;
 
 /// Edge of the cubes of every scene, and lattice steps in it.
 pub(super) const EDGE: u32 = 1;

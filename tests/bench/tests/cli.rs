@@ -1,13 +1,11 @@
-//! `union3d bench`: every benchmark in a tiny size gives its table and verifies itself; wrong arguments are refused.
+//! Every benchmark in a tiny size gives its table and verifies itself; wrong arguments are refused.
 
-use std::path::Path;
 use std::process::{Command, Output};
 
 use serde_json::Value;
 
 fn bench(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_union3d"))
-        .arg("bench")
+    Command::new(env!("CARGO_BIN_EXE_union3d-bench"))
         .args(arguments)
         .output()
         .expect("the binary runs")
@@ -27,7 +25,7 @@ fn tables(arguments: &[&str]) -> Vec<Value> {
     let report: Value = serde_json::from_str(&success(&[arguments, &["--json"]].concat())).unwrap();
     assert!(report["machine"]["cores"].as_u64() > Some(0), "{report}");
     let command = report["machine"]["command"].as_str().unwrap();
-    assert!(command.starts_with("union3d bench "), "{command}");
+    assert!(command.starts_with("union3d-bench "), "{command}");
     report["tables"].as_array().unwrap().clone()
 }
 
@@ -108,22 +106,43 @@ fn the_same_figures_are_a_table_for_people() {
         "--workload",
         "rho-1",
     ]);
-    assert!(
-        text.contains("| workload | cubes | operation | M/s |"),
-        "{text}"
-    );
-    assert!(text.contains("| rho-1 | 200 | delete oldest | "), "{text}");
-    assert!(text.contains("union3d bench engine --cubes 200"), "{text}");
+    let cells = |line: &str| -> Vec<String> {
+        let cells = line.trim_matches('|').split('|');
+        cells.map(|cell| cell.trim().to_owned()).collect()
+    };
+    let found: Vec<Vec<String>> = text.lines().map(cells).collect();
+    let starts = |wanted: &[&str]| {
+        found.iter().any(|cells| {
+            cells.starts_with(
+                &wanted
+                    .iter()
+                    .map(|&cell| cell.to_owned())
+                    .collect::<Vec<_>>(),
+            )
+        })
+    };
+    assert!(starts(&["workload", "cubes", "operation", "M/s"]), "{text}");
+    assert!(starts(&["rho-1", "200", "delete oldest"]), "{text}");
+    assert!(text.contains("union3d-bench engine --cubes 200"), "{text}");
+}
+
+/// A row of cubes that overlap, as `union3d mill --out` writes them.
+fn row(cubes: i32) -> Vec<u8> {
+    let corners = (0..cubes).flat_map(|number| [number, 0, 0]);
+    corners.flat_map(i32::to_le_bytes).collect()
 }
 
 #[test]
-fn a_program_is_measured_by_name() {
-    let program = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/cli/demo.gcode");
-    let program = program.to_str().unwrap();
-    // A cutter this wide has few places along the path.
-    let found = tables(&["engine", "--gcode", program, "--edge", "30", "--runs", "1"]);
+fn a_file_of_cubes_is_measured_by_name() {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("path.i32");
+    std::fs::write(&file, row(100)).unwrap();
+    let name = file.to_str().unwrap();
+    let found = tables(&["engine", "--file", name, "--edge", "30", "--runs", "1"]);
     check_figures(&found[0], &["million_per_second"]);
-    assert_eq!(rows(&found[0])[0]["workload"], "demo.gcode");
+    assert_eq!(rows(&found[0])[0]["workload"], "path.i32");
+    // The last fifth follows.
+    assert_eq!(rows(&found[0])[0]["cubes"], 80);
 }
 
 #[test]
@@ -177,8 +196,7 @@ fn bins_are_plotted() {
     let svg = std::fs::read_to_string(plot).unwrap();
     assert!(svg.starts_with("<svg "), "{svg}");
     assert!(svg.trim_end().ends_with("</svg>"), "{svg}");
-    assert_eq!(svg.matches("<polyline").count(), 1);
-    assert!(!svg.contains("NaN"), "{svg}");
+    assert!(svg.contains("rho-1"), "{svg}");
 }
 
 #[test]
@@ -203,6 +221,7 @@ fn the_papers_table_agrees_with_its_expectation() {
 
 #[test]
 fn a_real_server_is_measured() {
+    // It is the program beside this one: `cargo test --workspace` builds both.
     let data = tempfile::tempdir().unwrap();
     let found = tables(&[
         "service",
@@ -281,10 +300,10 @@ fn wrong_arguments_are_refused() {
     check_refused(&["engine", "--cubes", "0"], &["--cubes", "more than 0"]);
     check_refused(&["engine", "--cubes", "1.5M"], &["--cubes", "whole number"]);
     check_refused(&["engine", "--workload", "rho-2"], &["rho-2", "rho-0.015"]);
-    check_refused(&["engine", "--gcode", "part.gcode"], &["--edge"]);
+    check_refused(&["engine", "--file", "part.i32"], &["--edge"]);
     check_refused(
-        &["engine", "--gcode", "no-such-file.gcode", "--edge", "3"],
-        &["no-such-file.gcode"],
+        &["engine", "--file", "no-such-file.i32", "--edge", "3"],
+        &["no-such-file.i32"],
     );
     check_refused(
         &["engine", "--turnovers", "2", "--sizes", "1k"],
@@ -296,5 +315,12 @@ fn wrong_arguments_are_refused() {
     check_refused(
         &["service", "--data", "no/such/directory"],
         &["no/such/directory"],
+    );
+    let data = tempfile::tempdir().unwrap();
+    let data = data.path().to_str().unwrap();
+    let program = "no/such/program";
+    check_refused(
+        &["service", "--data", data, "--program", program],
+        &[program],
     );
 }

@@ -121,6 +121,15 @@ pub(crate) fn parse_count(text: &str) -> Result<usize, String> {
     }
 }
 
+/// A round number as people write it: `20M`, `10k`.
+pub(crate) fn short(count: usize) -> String {
+    match count {
+        millions if millions.is_multiple_of(1_000_000) => format!("{}M", millions / 1_000_000),
+        thousands if thousands.is_multiple_of(1_000) => format!("{}k", thousands / 1_000),
+        few => few.to_string(),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -43,7 +43,7 @@ impl Machine {
             } else {
                 "release"
             },
-            command: format!("union3d {}", command.join(" ")),
+            command: format!("union3d-bench {}", command.join(" ")),
         }
     }
 

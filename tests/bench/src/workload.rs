@@ -5,7 +5,7 @@
 use clap::ValueEnum;
 use union3d::geometry::{Edge, InvalidCube, Place};
 
-use super::random::Random;
+use crate::random::Random;
 
 /// Edge of every cube: a 6 mm cutter at 1000 steps to the millimetre. Units: steps.
 pub(crate) const EDGE_STEPS: i64 = 6_000;

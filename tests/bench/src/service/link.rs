@@ -9,7 +9,7 @@ use hyper::{Method, Request, StatusCode, header};
 use hyper_util::rt::TokioIo;
 use tokio::net::TcpStream;
 
-type Failure = Box<dyn std::error::Error>;
+use crate::failure::Failure;
 
 /// A connection that is kept open; one request after the other.
 #[derive(Debug)]

@@ -6,8 +6,9 @@ use indicatif::ProgressBar;
 use union3d::engine::EngineSize;
 use union3d::geometry::{CubeId, Totals};
 
-use super::engine::{Scenario, short};
-use super::figures::{Spread, float, median};
+use super::failure::Failure;
+use super::figures::{Spread, float, median, short};
+use super::scenario::Scenario;
 use super::sets::{Cube, Online, Set, each};
 use super::table::{Cell, Table, figure, text};
 use super::workload::Workload;
@@ -118,7 +119,7 @@ pub(super) fn sizes(
     runs: usize,
     seed: u64,
     bar: &ProgressBar,
-) -> Result<Table, Box<dyn std::error::Error>> {
+) -> Result<Table, Failure> {
     let mut table = Table::new(
         "Over the number of cubes",
         "Nanoseconds an operation, one by one, at the same density, and as a multiple of the first size's. Medians.",

@@ -1,10 +1,10 @@
-//! The engine's operations through its public face, for `cargo bench`: small sets, compared with the run before.
+//! The engine's operations through its public face, for `cargo bench --workspace`: small sets, compared with the run before.
 //!
-//! `union3d bench engine` prints the figures that are quoted; this is for a look at one change of the code.
+//! `union3d-bench engine` prints the figures that are quoted; this is for a look at one change of the code.
 
-#[path = "../../src/cli/bench/random.rs"]
+#[path = "../../oracle/random.rs"]
 mod random;
-#[path = "../../src/cli/bench/workload.rs"]
+#[path = "../src/workload.rs"]
 mod workload;
 
 use criterion::{BatchSize, BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};

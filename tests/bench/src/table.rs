@@ -1,12 +1,13 @@
 //! Tables of figures: Markdown for a README, JSON for programs, from the same cells.
 
-use std::fmt::Write as _;
 use std::io::Write as _;
 
+use comfy_table::presets::ASCII_MARKDOWN;
+use comfy_table::{CellAlignment, Table as Drawn};
+use indicatif::{HumanCount, HumanFloatCount};
 use serde_json::{Map, Value, json};
 
 use super::machine::Machine;
-use crate::cli::report;
 
 /// A table that grows by rows.
 #[derive(Clone, Debug)]
@@ -45,8 +46,8 @@ pub(crate) fn text(text: impl Into<String>) -> Cell {
 }
 
 /// A whole number with its thousands apart, for titles.
-pub(crate) fn grouped(count: usize) -> String {
-    report::figure(&count.into())
+pub(crate) fn grouped(count: usize) -> HumanCount {
+    HumanCount(count as u64)
 }
 
 impl Table {
@@ -74,26 +75,38 @@ impl Table {
     }
 
     fn markdown(&self) -> String {
-        let mut markdown = format!("### {}\n\n", self.title);
-        if !self.note.is_empty() {
-            write!(markdown, "{}\n\n", self.note).expect("a string takes everything");
-        }
-        let headings = self.columns.iter().map(|column| column.heading.as_str());
-        let line = |cells: Vec<&str>| format!("| {} |\n", cells.join(" | "));
-        markdown += &line(headings.collect());
         // Names to the left, figures to the right.
         let is_text = |column: usize| {
             let mut cells = self.rows.iter().map(|row| &row[column]);
             cells.any(|cell| matches!(cell, Cell::Text(_)))
         };
-        let rules =
-            (0..self.columns.len()).map(|column| if is_text(column) { "---" } else { "--:" });
-        markdown += &line(rules.collect());
-        for row in &self.rows {
-            let cells: Vec<String> = row.iter().map(Cell::markdown).collect();
-            markdown += &line(cells.iter().map(String::as_str).collect());
+        let mut drawn = Drawn::new();
+        drawn.load_style(ASCII_MARKDOWN);
+        drawn.set_header(self.columns.iter().map(|column| column.heading.as_str()));
+        drawn.add_rows(self.rows.iter().map(|row| row.iter().map(Cell::markdown)));
+        for (number, column) in drawn.column_iter_mut().enumerate() {
+            if !is_text(number) {
+                column.set_cell_alignment(CellAlignment::Right);
+            }
         }
-        markdown
+        let mut lines: Vec<String> = drawn.lines().collect();
+        // The style draws the rule below the headings without Markdown's marks of alignment.
+        lines[1] = lines[1]
+            .split('|')
+            .enumerate()
+            .map(|(part, dashes)| match dashes.strip_suffix('-') {
+                Some(dashes) if !is_text(part - 1) => format!("{dashes}:"),
+                _ => dashes.to_owned(),
+            })
+            .collect::<Vec<_>>()
+            .join("|");
+        let note = if self.note.is_empty() { "" } else { "\n\n" };
+        format!(
+            "### {}{note}{}\n\n{}\n",
+            self.title,
+            self.note,
+            lines.join("\n")
+        )
     }
 
     fn json(&self) -> Value {
@@ -113,7 +126,7 @@ impl Cell {
     fn markdown(&self) -> String {
         match self {
             Self::Text(text) => text.clone(),
-            Self::Count(count) => report::figure(&(*count).into()),
+            Self::Count(count) => HumanCount(*count).to_string(),
             Self::Figure(value, digits) => significant(*value, *digits),
             Self::Nothing => String::new(),
         }
@@ -144,7 +157,10 @@ fn significant(value: f64, digits: usize) -> String {
         return scientific;
     }
     let shown = i32::try_from(digits).unwrap_or(i32::MAX) - 1 - exponent;
-    report::grouped(&format!("{value:.*}", usize::try_from(shown).unwrap_or(0)))
+    let text = format!("{value:.*}", usize::try_from(shown).unwrap_or(0));
+    let (whole, fraction) = text.split_at(text.find('.').unwrap_or(text.len()));
+    let whole: f64 = whole.parse().expect("digits are a number");
+    format!("{:.0}{fraction}", HumanFloatCount(whole))
 }
 
 /// What a benchmark prints: the machine, then its tables.

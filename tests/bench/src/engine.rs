@@ -1,24 +1,22 @@
-//! `union3d bench engine`: operations a second, latencies and memory of the engine alone.
+//! `union3d-bench engine`: operations a second, latencies and memory of the engine alone.
 
 use std::num::NonZero;
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
 use clap::ValueEnum;
 use indicatif::ProgressBar;
 use union3d::engine::{Bare, EngineSize, recount};
-use union3d::geometry::{Edge, Place, Totals};
+use union3d::geometry::{Edge, Totals};
 
-use super::cubes::{milled, numbered, shuffled};
-use super::figures::{Latencies, Spread, float, median, parse_count, rate};
+use super::cubes::shuffled;
+use super::failure::Failure;
+use super::figures::{Latencies, Spread, float, median, parse_count, rate, short};
+use super::scenario::Scenario;
 use super::sets::{Cube, Online, Plain, Set, each};
 use super::table::{Cell, Report, Table, figure, text};
-use super::workload::{EDGE_STEPS, Workload};
-use super::{bins, flat};
-use crate::cli::{Outcome, progress};
-
-type Failure = Box<dyn std::error::Error>;
+use super::workload::Workload;
+use super::{bins, flat, progress};
 
 /// Cubes in one change.
 const BATCHES: [usize; 4] = [1, 100, 10_000, 1_000_000];
@@ -38,26 +36,26 @@ the latency of each; inserts and deletes in batches on one and two threads. Two 
 table and grid with nothing computed, and a plain hash map. Every way to a set of cubes must give the same totals, and deleting \
 everything none; otherwise the command fails.",
     after_long_help = "Examples:
-  union3d bench engine
-  union3d bench engine --workload rho-1 --workload raster --cubes 200k --runs 5
-  union3d bench engine --gcode part.gcode --edge 3.175
-  union3d bench engine --workload rho-1 --turnovers 100
-  union3d bench engine --workload rho-1 --sizes 1M,20M
-  union3d bench engine --cubes 100k --bins tests/bench/bins.svg"
+  union3d-bench engine
+  union3d-bench engine --workload rho-1 --workload raster --cubes 200k --runs 5
+  union3d mill part.gcode --edge 3.175 --out part.i32 && union3d-bench engine --file part.i32 --edge 3175
+  union3d-bench engine --workload rho-1 --turnovers 100
+  union3d-bench engine --workload rho-1 --sizes 1M,20M
+  union3d-bench engine --cubes 100k --bins tests/bench/bins.svg"
 )]
 pub(crate) struct Args {
     /// Cubes in the set.
     #[arg(long, value_name = "COUNT", default_value = "1M", value_parser = parse_count)]
     cubes: usize,
-    /// Only these workloads [default: all of them, or the G-code file alone].
+    /// Only these workloads [default: all of them, or the file alone].
     #[arg(long, value_enum, value_name = "NAME", value_delimiter = ',')]
     workload: Vec<Workload>,
-    /// A G-code program whose swept cubes are measured: all of them, whatever --cubes says.
+    /// A file of cubes, as `union3d mill --out` writes it: all of them, whatever --cubes says.
     #[arg(long, value_name = "FILE", requires = "edge")]
-    gcode: Option<PathBuf>,
-    /// Edge of the cutter along the G-code program, in millimetres.
-    #[arg(long, value_name = "LENGTH", requires = "gcode")]
-    edge: Option<f64>,
+    file: Option<PathBuf>,
+    /// Edge of the cubes of the file, in steps.
+    #[arg(long, value_name = "STEPS", requires = "file")]
+    edge: Option<i64>,
     /// How often each measurement is made; the median is printed.
     #[arg(long, value_name = "COUNT", default_value = "3", value_parser = parse_count)]
     runs: usize,
@@ -68,56 +66,18 @@ pub(crate) struct Args {
     #[arg(long, value_name = "COUNT", value_parser = parse_count, conflicts_with_all = ["sizes", "bins", "runs"])]
     turnovers: Option<usize>,
     /// Instead: sets of these sizes, compared by time per operation.
-    #[arg(long, value_name = "COUNTS", value_parser = parse_count, value_delimiter = ',', conflicts_with_all = ["cubes", "gcode", "bins"])]
+    #[arg(long, value_name = "COUNTS", value_parser = parse_count, value_delimiter = ',', conflicts_with_all = ["cubes", "file", "bins"])]
     sizes: Vec<usize>,
     /// Instead: time against the side of the grid's bins over two decades, and its plot to this file, as SVG.
-    #[arg(long, value_name = "FILE", conflicts_with = "gcode")]
+    #[arg(long, value_name = "FILE", conflicts_with = "file")]
     bins: Option<PathBuf>,
     /// Print JSON.
     #[arg(long)]
     json: bool,
 }
 
-/// A set of cubes to be measured, and those that replace some of them.
-pub(super) struct Scenario {
-    pub(super) name: String,
-    pub(super) edge: Edge,
-    /// The set, oldest first.
-    pub(super) cubes: Vec<Cube>,
-    /// What comes after: the path goes on.
-    following: Vec<Cube>,
-}
-
-impl Scenario {
-    /// The last fifth of the places are those that follow.
-    fn new(name: String, edge: Edge, places: Vec<Place>) -> Self {
-        let mut cubes = numbered(places);
-        let following = cubes.split_off((cubes.len() * 4).div_ceil(5));
-        Self {
-            name,
-            edge,
-            cubes,
-            following,
-        }
-    }
-
-    pub(super) fn of(workload: Workload, cubes: usize, seed: u64) -> Result<Self, Failure> {
-        let edge = Edge::new(EDGE_STEPS)?;
-        let name = workload.name();
-        let places = workload
-            .places(edge, cubes + cubes / 4, seed)
-            .map_err(|invalid| format!("{name}: too many cubes for the lattice: {invalid}"))?;
-        Ok(Self::new(name, edge, places))
-    }
-
-    /// What the set must measure, from its places alone.
-    pub(super) fn totals(&self) -> Totals {
-        recount(self.edge, None, self.cubes.iter().map(|(_, place)| *place))
-    }
-}
-
-/// Runs `bench engine`.
-pub(crate) fn run(args: &Args) -> Outcome {
+/// Runs `union3d-bench engine`.
+pub(crate) fn run(args: &Args) -> Result<(), Failure> {
     let mut report = Report::new();
     let named = |default: &[Workload]| match args.workload.as_slice() {
         [] => default.to_vec(),
@@ -139,14 +99,14 @@ pub(crate) fn run(args: &Args) -> Outcome {
             &bar,
         )?);
     } else {
-        let workloads = match (&args.gcode, args.turnovers) {
+        let workloads = match (&args.file, args.turnovers) {
             (Some(_), _) => args.workload.clone(),
             (None, Some(_)) => named(&[Workload::Rho1]),
             (None, None) => named(Workload::value_variants()),
         };
         let mut sources: Vec<Source> = workloads.into_iter().map(Source::Workload).collect();
-        if let (Some(path), Some(edge)) = (&args.gcode, args.edge) {
-            sources.push(Source::Program(path, edge));
+        if let (Some(path), Some(edge)) = (&args.file, args.edge) {
+            sources.push(Source::File(path, Edge::new(edge)?));
         }
         if let Some(turnovers) = args.turnovers {
             for source in sources {
@@ -159,25 +119,20 @@ pub(crate) fn run(args: &Args) -> Outcome {
     }
     bar.finish_and_clear();
     report.print(args.json)?;
-    Ok(ExitCode::SUCCESS)
+    Ok(())
 }
 
 /// Where a scenario comes from; each is made when its turn comes, since all together take much memory.
 enum Source<'args> {
     Workload(Workload),
-    /// A G-code program, and the cutter's edge in millimetres.
-    Program(&'args Path, f64),
+    File(&'args Path, Edge),
 }
 
 impl Source<'_> {
     fn scenario(&self, args: &Args) -> Result<Scenario, Failure> {
         match *self {
             Self::Workload(workload) => Scenario::of(workload, args.cubes, args.seed),
-            Self::Program(path, edge) => {
-                let (edge, places) = milled(path, edge)?;
-                let name = path.file_name().unwrap_or_default().to_string_lossy();
-                Ok(Scenario::new(name.into_owned(), edge, places))
-            }
+            Self::File(path, edge) => Scenario::of_file(path, edge),
         }
     }
 }
@@ -405,13 +360,4 @@ fn in_changes(cubes: &[Cube], batch: usize, mut change: impl FnMut(&[Cube])) -> 
     let started = Instant::now();
     cubes.chunks(batch).for_each(&mut change);
     started.elapsed()
-}
-
-/// A round number as people write it.
-pub(super) fn short(count: usize) -> String {
-    match count {
-        millions if millions.is_multiple_of(1_000_000) => format!("{}M", millions / 1_000_000),
-        thousands if thousands.is_multiple_of(1_000) => format!("{}k", thousands / 1_000),
-        few => few.to_string(),
-    }
 }

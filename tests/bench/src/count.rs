@@ -1,15 +1,13 @@
-//! `union3d bench count`: a fixed piece of work for a counter of instructions.
-
-use std::process::ExitCode;
+//! `union3d-bench count`: a fixed piece of work for a counter of instructions.
 
 use clap::ValueEnum;
 use union3d::geometry::{Edge, Totals};
 
 use super::cubes::numbered;
+use super::failure::Failure;
 use super::figures::parse_count;
 use super::sets::{Online, Set};
 use super::workload::{EDGE_STEPS, Workload};
-use crate::cli::Outcome;
 
 /// Do a fixed piece of work, for a counter of instructions
 #[derive(Debug, clap::Args)]
@@ -39,8 +37,8 @@ enum Until {
     Deleted,
 }
 
-/// Runs `bench count`.
-pub(crate) fn run(args: &Args) -> Outcome {
+/// Runs `union3d-bench count`.
+pub(crate) fn run(args: &Args) -> Result<(), Failure> {
     let edge = Edge::new(EDGE_STEPS)?;
     let cubes = numbered(args.workload.places(edge, args.cubes, 1)?);
     let mut set = Online::new(edge);
@@ -56,5 +54,5 @@ pub(crate) fn run(args: &Args) -> Outcome {
     println!("{}", set.len());
     // Dropping the set is no part of the work.
     std::mem::forget(set);
-    Ok(ExitCode::SUCCESS)
+    Ok(())
 }

@@ -1,18 +1,33 @@
-//! A real server: this executable as `serve`, in a process of its own, on a data directory on disk.
+//! A real server: `union3d serve` in a process of its own, on a data directory on disk.
 
 use std::io::{BufRead, BufReader};
 use std::net::SocketAddr;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use super::link::Link;
-use crate::cli::bench::machine::{Resident, resident};
-
-type Failure = Box<dyn std::error::Error>;
+use crate::failure::{Failure, about};
+use crate::machine::{Resident, resident};
 
 /// How long a server may take to replay what there is.
 const PATIENCE: Duration = Duration::from_mins(10);
+
+/// The program whose server is measured when none is named: the union3d that was built beside this executable.
+/// # Errors
+/// There is none.
+pub(super) fn beside_this() -> Result<PathBuf, Failure> {
+    let name = format!("union3d{}", std::env::consts::EXE_SUFFIX);
+    let program = std::env::current_exe()?.with_file_name(name);
+    if program.is_file() {
+        return Ok(program);
+    }
+    Err(format!(
+        "{} is not there: build both with `cargo build --release --workspace`, or name one with --program",
+        program.display()
+    )
+    .into())
+}
 
 /// A server process; it ends when this is dropped.
 #[derive(Debug)]
@@ -26,9 +41,9 @@ pub(super) struct Server {
 
 impl Server {
     /// Starts a server on a data directory and waits until it is ready.
-    pub(super) async fn start(data: &Path) -> Result<Self, Failure> {
+    pub(super) async fn start(program: &Path, data: &Path) -> Result<Self, Failure> {
         let started = Instant::now();
-        let mut command = Command::new(std::env::current_exe()?);
+        let mut command = Command::new(program);
         command
             .args(["serve", "--http", "127.0.0.1:0", "--grpc", "127.0.0.1:0"])
             .args(["--log-filter", "warn,tower_http=off"])
@@ -36,7 +51,7 @@ impl Server {
             .arg(data)
             .stdin(Stdio::null())
             .stdout(Stdio::piped());
-        let mut process = command.spawn()?;
+        let mut process = command.spawn().map_err(about(program))?;
         let output = process.stdout.take().expect("it is piped");
         let mut greeting = String::new();
         BufReader::new(output).read_line(&mut greeting)?;

@@ -11,9 +11,8 @@ use hyper::{Method, StatusCode};
 use tokio::task::LocalSet;
 
 use super::link::Link;
-use crate::cli::bench::figures::Latencies;
-
-type Failure = Box<dyn std::error::Error>;
+use crate::failure::Failure;
+use crate::figures::{Latencies, Spread, median, rate};
 
 /// What the clients got done.
 #[derive(Debug, Default)]
@@ -137,4 +136,18 @@ pub(super) fn on_this_thread<T>(
 ) -> Result<T, Failure> {
     let mut runtime = tokio::runtime::Builder::new_current_thread();
     runtime.enable_all().build()?.block_on(work)
+}
+
+/// Answers a second, and p50, p99 and maximum in milliseconds: medians over runs.
+pub(super) fn summary(runs: Vec<Done>) -> [f64; 4] {
+    let rates = runs.iter().map(|done| rate(done.requests, done.time));
+    let requests = median(rates);
+    let spreads = runs.into_iter().map(|done| done.latencies.spread());
+    let spread = Spread::median_of(&spreads.collect::<Vec<_>>());
+    [
+        requests,
+        spread.p50 / 1e3,
+        spread.p99 / 1e3,
+        spread.max / 1e3,
+    ]
 }

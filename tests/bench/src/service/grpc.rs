@@ -17,9 +17,8 @@ use union3d::wire::proto::{
 };
 
 use super::load::Done;
-use crate::cli::bench::figures::Latencies;
-
-type Failure = Box<dyn std::error::Error>;
+use crate::failure::Failure;
+use crate::figures::Latencies;
 
 /// Changes that a client has on their way.
 pub(super) const WINDOW: usize = 16;

@@ -7,13 +7,13 @@ use indicatif::ProgressBar;
 use union3d::engine::Engine;
 use union3d::geometry::Totals;
 
-use super::engine::Scenario;
+use super::failure::{Failure, about};
 use super::figures::{float, median};
-use super::plot::{Axis, Line, Plot};
+use super::plot::{Line, Plot};
+use super::scenario::Scenario;
 use super::sets::{Online, Set};
 use super::table::{Cell, Table, figure, text};
 use super::workload::Workload;
-use crate::cli::input;
 
 /// What is measured when nothing is named.
 pub(super) const WORKLOADS: [Workload; 4] = [
@@ -34,7 +34,7 @@ pub(super) fn measure(
     seed: u64,
     plot: &Path,
     bar: &ProgressBar,
-) -> Result<Table, Box<dyn std::error::Error>> {
+) -> Result<Table, Failure> {
     let mut table = Table::new(
         "Time against the side of the bins",
         "Microseconds to insert a cube and delete it again (everything inserted, then everything deleted, oldest first), by the side of the \
@@ -101,12 +101,12 @@ pub(super) fn measure(
             level: own,
         });
     }
-    let svg = Plot {
+    let drawn = Plot {
         title: "Time against the side of the bins (dashed: the engine's own choice)".to_owned(),
-        x: Axis::of("side of a bin, in edges of a cube"),
-        y: Axis::of("microseconds to insert a cube and delete it"),
+        x: "side of a bin, in edges of a cube",
+        y: "microseconds to insert a cube and delete it",
         lines,
     };
-    std::fs::write(plot, svg.svg()).map_err(input::about(plot))?;
+    std::fs::write(plot, drawn.svg()?).map_err(about(plot))?;
     Ok(table)
 }
