@@ -2,11 +2,10 @@
 
 use std::collections::BTreeSet;
 use std::f64::consts::PI;
-use std::sync::Arc;
 
 use union3d::geometry::convex::{
-    Body, Cutter, Deviation, EXTENT_MAX, End, Fit, InvalidBody, InvalidCutter, InvalidSolid,
-    InvalidSweep, Part, Plane, Point, STRAIGHT_ANGLE, Shape, Solid, VERTICES_MAX,
+    Cutter, Deviation, EXTENT_MAX, End, Fit, InvalidCutter, InvalidSolid, InvalidSweep, Plane,
+    Point, STRAIGHT_ANGLE, Solid, VERTICES_MAX,
 };
 
 /// A small generator (splitmix64), so that a printed seed gives the same case everywhere.
@@ -880,53 +879,4 @@ fn cutters_that_do_not_exist_are_refused() {
         refused,
         InvalidCutter::Solid(InvalidSolid::TooManyVertices { .. })
     ));
-}
-
-#[test]
-fn bodies_are_their_parts_swept() {
-    let part = |low: [i64; 3], high: [i64; 3], top| Part {
-        solid: Solid::cuboid(point(low), point(high)).unwrap(),
-        top,
-    };
-    let parts = vec![
-        part([0, 0, 0], [2, 2, 3], None),
-        part([-1, -1, 3], [3, 3, 5], Some(20)),
-    ];
-    let shape = Arc::new(Shape::new(parts.clone()).unwrap());
-    let (from, to) = (point([1, 2, 3]), point([4, 4, 4]));
-    let body = Body::swept(shape.clone(), from, to).unwrap();
-    let solids: Vec<_> = body.solids().collect();
-    assert_eq!(
-        description(&solids[0]),
-        description(&parts[0].solid.swept(from, to).unwrap())
-    );
-    let raised = parts[1].solid.swept_to_top(from, to, 20).unwrap();
-    assert_eq!(description(&solids[1]), description(&raised));
-    assert_eq!(solids.len(), 2);
-    // Equality is that of the shape itself and its way, or of the set of points.
-    assert_eq!(body, Body::swept(shape.clone(), from, to).unwrap());
-    assert_ne!(body, Body::swept(shape.clone(), to, from).unwrap());
-    assert_ne!(
-        body,
-        Body::swept(Arc::new(Shape::new(parts).unwrap()), from, to).unwrap()
-    );
-    let mut cloud = points([[0, 0, 0], [2, 0, 0], [0, 2, 0], [0, 0, 2]]);
-    let own = Body::own(Solid::hull(&cloud).unwrap());
-    cloud.reverse();
-    cloud.push(point([1, 0, 0]));
-    assert_eq!(own, Body::own(Solid::hull(&cloud).unwrap()));
-    assert_ne!(own, body);
-    let high = point([0, 0, 16]);
-    let fault = InvalidSweep::AboveTop {
-        reached: 21,
-        top: 20,
-    };
-    assert_eq!(
-        Body::swept(shape, from, high).unwrap_err(),
-        InvalidBody { part: 1, fault }
-    );
-    assert_eq!(
-        Shape::new(vec![]).unwrap_err().to_string(),
-        "a shape of 0 parts; it has from 1 to 64"
-    );
 }

@@ -4,9 +4,8 @@
 //!
 //! ```text
 //!   points ── hull ──┐                          ┌─ vertices   lattice points
-//!   cutter ─────────>├─> Solid ── sweep ──> Solid ─ facets     one reduced plane each, loops counterclockwise from outside
-//!                    │   (at its anchor)        └─ edges      two vertices, two facets
-//!                    └─> Shape: one solid or several, carried along a segment together ──> Body
+//!   cutter ──────────┴─> Solid ── sweep ──> Solid ─ facets     one reduced plane each, loops counterclockwise from outside
+//!                        (at its anchor)        └─ edges      two vertices, two facets
 //! ```
 //!
 //! Every facet is maximal (coplanar pieces are one facet), every edge too, and no vertex lies between others: a solid is a
@@ -25,7 +24,6 @@ mod limits;
 mod plane;
 mod point;
 mod polygon;
-mod shape;
 mod solid;
 mod sweep;
 mod vector;
@@ -35,7 +33,6 @@ pub use limits::{EXTENT_MAX, VERTICES_MAX};
 pub use plane::Plane;
 pub use point::{InvalidPoint, Point};
 pub use polygon::{Deviation, Fit};
-pub use shape::{Body, InvalidBody, InvalidShape, PARTS_MAX, Part, Shape};
 pub use solid::{Edge, Facet, InvalidSolid, Solid};
 pub use sweep::InvalidSweep;
 pub use vector::{cross, dot};

@@ -154,16 +154,6 @@ impl Solid {
             .map(|corner| Point::new(corner.map(i64::from)).expect("coordinates of its vertices"))
     }
 
-    /// Whether both are the same set of points. O(size log size).
-    pub fn same_points(&self, other: &Self) -> bool {
-        let sorted = |solid: &Self| {
-            let mut vertices = solid.vertices.clone();
-            vertices.sort_unstable();
-            vertices
-        };
-        self.vertices.len() == other.vertices.len() && sorted(self) == sorted(other)
-    }
-
     /// Whether a point lies in the closed solid. O(facets).
     pub fn contains(&self, point: Point) -> bool {
         self.planes.iter().all(|plane| plane.at(point) <= 0)
