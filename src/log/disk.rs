@@ -101,12 +101,22 @@ impl Disk {
         tempfile::tempfile_in(directory)?.write_all(&vec![1; bytes])
     }
 
-    /// Creates a directory and those above it that are not there.
+    /// Creates a directory and those above it that are not there. Durably: also the names of those that are there already,
+    /// which a server that died may have made and not synced.
     /// # Errors
-    /// The file system's.
+    /// The file system's; but not that a directory which was there before cannot be synced.
     pub fn create_directories(&self, path: &Path) -> io::Result<()> {
+        let above = || path.ancestors().skip(1);
+        let missing = above().take_while(|above| !above.exists()).count();
         self.ask(FileCall::CreateDirectory(path))?;
-        fs::create_dir_all(path)
+        fs::create_dir_all(path)?;
+        for (index, directory) in above().enumerate() {
+            match self.sync_directory(or_here(directory)) {
+                Err(error) if index <= missing => return Err(error),
+                _ => {}
+            }
+        }
+        Ok(())
     }
 
     pub(super) fn create_directory(&self, path: &Path) -> io::Result<()> {
@@ -144,6 +154,15 @@ impl Disk {
 
     fn ask(&self, call: FileCall<'_>) -> io::Result<()> {
         self.watch.as_ref().map_or(Ok(()), |watch| watch(call))
+    }
+}
+
+/// The directory above a name alone is the empty path.
+pub(super) fn or_here(path: &Path) -> &Path {
+    if path.as_os_str().is_empty() {
+        Path::new(".")
+    } else {
+        path
     }
 }
 

@@ -15,7 +15,7 @@ use std::fs;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
-use super::disk::{Disk, OpenFile};
+use super::disk::{Disk, OpenFile, or_here};
 use super::{LogError, Seq};
 
 /// Names of directories that are being made or removed start with this; no scene's name does.
@@ -307,8 +307,5 @@ pub fn remove_leftovers(disk: &Disk, data: &Path) -> io::Result<()> {
 }
 
 fn parent(directory: &Path) -> &Path {
-    match directory.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    }
+    or_here(directory.parent().unwrap_or(directory))
 }

@@ -88,14 +88,6 @@ impl Service {
         };
         disk.create_directories(&scenes)
             .map_err(|error| failed("create", &error))?;
-        for directory in [config.data.parent(), Some(&config.data)]
-            .into_iter()
-            .flatten()
-            .filter(|path| !path.as_os_str().is_empty())
-        {
-            disk.sync_directory(directory)
-                .map_err(|error| unusable(directory, &error))?;
-        }
         remove_leftovers(&disk, &scenes).map_err(|error| failed("clean", &error))?;
         let setup = Arc::new(Setup {
             gate: Gate::new(config.replays_max),
