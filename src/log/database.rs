@@ -48,6 +48,7 @@ impl Database {
             transaction.commit()
         };
         build().map_err(site.sqlite(Seq(0)))?;
+        check_settings(&site, &connection, Seq(0))?;
         // Closing moves everything into the database file and syncs it.
         connection
             .close()
@@ -77,6 +78,8 @@ impl Database {
             .map_err(|error| site.damaged(seq, format_args!("its settings: {error}")))?;
         let seal = meta.seal();
         let head = read_head(&site, &connection, seal, seq)?;
+        // SQLite has made its write-ahead file by now, and does not mind when the file's name cannot be synced.
+        site.sync_names().map_err(|error| site.io(&error))?;
         let acknowledged = Acknowledged::open(&site).map_err(|error| site.io(&error))?;
         let database = Self {
             site,

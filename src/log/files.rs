@@ -58,6 +58,11 @@ impl Site {
         self.directory.join("acknowledged")
     }
 
+    /// Makes the names of the files durable.
+    pub(super) fn sync_names(&self) -> io::Result<()> {
+        self.disk.sync_directory(&self.directory)
+    }
+
     /// Bytes of all files.
     pub(super) fn size_bytes(&self) -> u64 {
         let Ok(files) = fs::read_dir(&self.directory) else {
@@ -270,14 +275,19 @@ pub(super) fn create_whole(
     outcome
 }
 
-/// Removes the directory of a scene, so that a crash leaves it whole or gone.
+/// Removes the directory of a scene, so that a crash leaves it whole or gone. Answers what kept its space from being given
+/// back, if anything did: [`remove_leftovers`] does that later.
 /// # Errors
-/// The file system's. When the directory is not there any more, only space was not given back.
-pub fn remove_scene(disk: &Disk, directory: &Path) -> io::Result<()> {
+/// The file system's; the scene is then still there.
+pub fn remove_scene(disk: &Disk, directory: &Path) -> io::Result<Option<io::Error>> {
     let temporary = temporary_sibling(disk, directory, "remove")?;
     disk.rename(directory, &temporary)?;
-    disk.sync_directory(parent(directory))?;
-    disk.remove_directory(&temporary)
+    if let Err(error) = disk.sync_directory(parent(directory)) {
+        // After a power failure the scene would be back, so it is not gone now either.
+        disk.rename(&temporary, directory)?;
+        return Err(error);
+    }
+    Ok(disk.remove_directory(&temporary).err())
 }
 
 /// A free name beside `directory`.

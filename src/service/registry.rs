@@ -415,14 +415,13 @@ fn size_bytes(directory: &Path) -> u64 {
 
 /// Takes a scene's files away: durably when it returns.
 fn discard(disk: &Disk, directory: &Path) -> io::Result<()> {
-    match remove_scene(disk, directory) {
-        // It is gone; only its space was not given back, which the next start does.
-        Err(error) if !directory.exists() => {
-            tracing::warn!("some of {} is left: {error}", directory.display());
-            Ok(())
-        }
-        result => result,
+    if let Some(error) = remove_scene(disk, directory)? {
+        tracing::warn!(
+            "some of {} is left until the next start: {error}",
+            directory.display()
+        );
     }
+    Ok(())
 }
 
 fn storage(error: &io::Error) -> ServiceError {

@@ -48,7 +48,7 @@ pub(crate) enum Event {
     Truncate { node: Node, size: usize },
     /// All that came before to a file, or to the names in a directory, is on stable storage.
     Sync(Node),
-    /// The sync failed: what came before may be there or not, and no later sync cares for it.
+    /// The sync failed. Of what came before to a file some may be there, and no later sync cares for the rest.
     SyncFailed(Node),
     /// The test's own: so far it has come.
     Mark(usize),

@@ -117,7 +117,11 @@ impl Image {
                 .pending
                 .push(Change::Truncate { size: *size }),
             Event::Sync(node) => self.settle(*node, Reached::All),
-            Event::SyncFailed(node) => self.settle(*node, Reached::Some(random.next())),
+            // The kernel has given up on the bytes; names it still knows to be unwritten.
+            Event::SyncFailed(node) if matches!(self.nodes[node], Content::File(_)) => {
+                self.settle(*node, Reached::Some(random.next()));
+            }
+            Event::SyncFailed(_) => {}
             Event::Mark(_) => {}
         }
     }

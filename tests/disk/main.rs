@@ -9,6 +9,7 @@
 
 mod calls;
 mod disk;
+mod faults;
 mod image;
 mod power;
 mod workload;

@@ -9,10 +9,10 @@ use std::time::Duration;
 
 use union3d::engine::{Engine, Op};
 use union3d::geometry::{CubeId, Edge, Effect, Place, Stock, Totals};
-use union3d::log::{Keep, Log, Record, Replayed, SceneLog};
+use union3d::log::{Keep, Record, Replayed, SceneLog};
 use union3d::service::{
     Counting, Motion, Operations, Published, Scene, SceneName, SceneState, Seq, Service,
-    ServiceConfig, Submission,
+    ServiceConfig, ServiceError, Submission,
 };
 
 use super::Random;
@@ -53,15 +53,17 @@ pub(crate) fn config(root: &Path) -> ServiceConfig {
     }
 }
 
-/// Waits until a scene answers.
+/// Waits until a scene answers. It is never refused for good.
 pub(crate) fn running(service: &Service, name: &str) -> Arc<Scene> {
     loop {
-        if let Ok(scene) = service.scene(name)
-            && scene.state() == SceneState::Running
-        {
-            return scene;
+        match service.scene(name).map(|scene| (scene.state(), scene)) {
+            Ok((SceneState::Running, scene)) => return scene,
+            Ok((SceneState::Damaged { cause }, _)) | Err(ServiceError::Damaged { cause }) => {
+                panic!("{name} is refused: {cause}")
+            }
+            Err(error @ ServiceError::NoSuchScene(_)) => panic!("{error}"),
+            _ => std::thread::yield_now(),
         }
-        std::thread::yield_now();
     }
 }
 
@@ -138,6 +140,97 @@ impl<'a> Client<'a> {
         self.change(&part).await;
         self.change(&other).await;
         service.shutdown().await;
+    }
+
+    /// The same for a client whose disk fails now and then: it tries again until it is answered, and finds each change there whole or
+    /// not at all.
+    pub(crate) async fn in_spite_of_faults(&mut self) {
+        for round in 0..2 {
+            let service = self.start_again();
+            let mut engine = self.create_again(&service, "part").await;
+            for _ in 0..3 {
+                self.change_again(&service, "part", &mut engine).await;
+            }
+            service.shutdown().await;
+            drop(service);
+            let service = self.start_again();
+            self.change_again(&service, "part", &mut engine).await;
+            self.change_again(&service, "part", &mut engine).await;
+            if round == 0 {
+                self.remove_again(&service, "part").await;
+            }
+            service.shutdown().await;
+        }
+    }
+
+    fn start_again(&self) -> Service {
+        loop {
+            if let Ok(service) = Service::start(config(self.disk.path())) {
+                return service;
+            }
+        }
+    }
+
+    async fn create_again(&mut self, service: &Service, name: &str) -> Engine {
+        let scene = SceneName::new(name).unwrap();
+        while let Err(error) = service.create(&scene, edge(), None, "{}").await {
+            assert!(is_disk(&error), "{error}");
+        }
+        self.lives += 1;
+        let life = self.lives;
+        let seq = 0;
+        self.world
+            .insert(name.to_owned(), Acknowledged { life, seq });
+        self.acknowledge(name, &running(service, name).published().unwrap());
+        self.mark();
+        Engine::new(edge())
+    }
+
+    async fn remove_again(&mut self, service: &Service, name: &str) {
+        let scene = SceneName::new(name).unwrap();
+        loop {
+            match service.remove(&scene).await {
+                Ok(()) | Err(ServiceError::NoSuchScene(_)) => break,
+                Err(error) => assert!(is_disk(&error), "{error}"),
+            }
+        }
+        self.world.remove(name);
+        self.mark();
+    }
+
+    async fn change_again(&mut self, service: &Service, name: &str, engine: &mut Engine) {
+        let ops = random_ops(&mut self.random);
+        let effect = engine.judge(&ops).unwrap().effect;
+        if effect == Effect::default() {
+            return;
+        }
+        let before = engine.totals();
+        engine.apply(&effect).unwrap();
+        let seq = self.world[name].seq;
+        let published = loop {
+            let scene = running(service, name);
+            let change = submission(Operations::Named(ops.clone()));
+            match scene.change(change).await {
+                Ok(applied) => break applied.published,
+                Err(error) => assert!(is_disk(&error), "{error}"),
+            }
+            let published = loop {
+                match running(service, name).published() {
+                    Ok(published) => break published,
+                    Err(error) => assert!(is_disk(&error), "{error}"),
+                }
+            };
+            if published.seq.0 > seq {
+                break published;
+            }
+            assert_eq!((published.seq.0, published.totals), (seq, before));
+        };
+        assert_eq!(
+            (published.seq.0, published.totals),
+            (seq + 1, engine.totals())
+        );
+        self.acknowledge(name, &published);
+        self.mark();
     }
 
     /// What was done so far has been acknowledged.
@@ -234,9 +327,11 @@ impl<'a> Client<'a> {
             idempotency_keys_max: 0,
             revert_changes_max: 2,
             revert_bytes_max: 1 << 20,
+            snapshot_log_bytes_min: 0,
         };
         let directory = data(self.disk.path()).join("scenes").join(name);
-        let (mut log, notices) = SceneLog::open(&directory, keep).unwrap();
+        let (mut log, notices) =
+            SceneLog::open(&union3d::log::Disk::default(), &directory, keep).unwrap();
         assert_eq!(notices, Vec::<String>::new());
         let mut engine = Engine::new(edge()).with_stock(log.header().stock);
         log.replay(&mut |_| (), &mut |replayed| {
@@ -281,4 +376,14 @@ impl<'a> Client<'a> {
         self.acknowledge(name, &published);
         self.mark();
     }
+}
+
+/// What a disk is to blame for, and nothing else.
+fn is_disk(error: &ServiceError) -> bool {
+    matches!(
+        error,
+        ServiceError::Stopped { .. }
+            | ServiceError::Storage { .. }
+            | ServiceError::Recovering { .. }
+    )
 }
