@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use union3d::engine::{Engine, Op};
-use union3d::geometry::{CubeId, Edge, Effect, Place, Stock, Totals};
+use union3d::geometry::{CUBES_MAX, CubeId, Edge, Effect, Place, Stock, Totals};
 use union3d::log::{Keep, Record, Replayed, SceneLog};
 use union3d::service::{
     Counting, Motion, Operations, Published, Scene, SceneName, SceneState, Seq, Service,
@@ -200,7 +200,7 @@ impl<'a> Client<'a> {
 
     async fn change_again(&mut self, service: &Service, name: &str, engine: &mut Engine) {
         let ops = random_ops(&mut self.random);
-        let effect = engine.judge(&ops).unwrap().effect;
+        let effect = engine.judge(&ops, CUBES_MAX).unwrap().effect;
         if effect == Effect::default() {
             return;
         }
@@ -356,7 +356,7 @@ impl<'a> Client<'a> {
 
     fn append(&mut self, name: &str, log: &mut SceneLog, engine: &mut Engine) {
         let ops = random_ops(&mut self.random);
-        let effect: Effect = engine.judge(&ops).unwrap().effect;
+        let effect: Effect = engine.judge(&ops, CUBES_MAX).unwrap().effect;
         engine.apply(&effect).unwrap();
         let published = Published {
             seq: Seq(log.seq().0 + 1),
