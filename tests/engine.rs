@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use std::num::NonZero;
 
 use random::Random;
-use union3d::engine::{Cursor, Engine, Inconsistent, Op, Rejected, Side, page, recount};
+use union3d::engine::{Cursor, Engine, Inconsistent, Op, Rejected, Side, recount};
 use union3d::geometry::{CUBES_MAX, CubeId, Edge, EdgeKind, Effect, Place, Stock, Totals};
 
 /// An engine, and the plain map it must agree with.
@@ -872,6 +872,17 @@ fn points_are_inside_on_or_outside() {
             );
         }
     }
+}
+
+/// The first `limit` cubes of a listing, and the cursor of the last of them when more follow.
+fn page(
+    mut cubes: impl Iterator<Item = (CubeId, Place)>,
+    limit: usize,
+) -> (Vec<(CubeId, Place)>, Option<Cursor>) {
+    let page: Vec<_> = cubes.by_ref().take(limit).collect();
+    let cursor = cubes.next().and(page.last());
+    let cursor = cursor.map(|(id, _)| Cursor::of(*id));
+    (page, cursor)
 }
 
 /// A listing in pages meets every cube that stays exactly once, whatever comes and goes meanwhile; the order is the ids'.

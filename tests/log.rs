@@ -123,7 +123,7 @@ impl Model {
         let record = Record {
             seq: Seq(seq),
             at_ms: 1_700_000_000_000 + seq * seq,
-            back_to: None,
+            reverts_to: None,
             motion: motion(seq),
             volume_removed: (i128::from(seq) - 7) << (seq % 80),
             totals: totals(seq, &cubes),
@@ -372,7 +372,7 @@ fn the_way_to_a_state_leads_over_what_tells_it_apart() {
                 let effect = difference(model.cubes(), &model.states[back_to]);
                 origin.push(origin[back_to]);
                 Record {
-                    back_to: Some(Seq(back_to as u64)),
+                    reverts_to: Some(Seq(back_to as u64)),
                     ..model.record(effect)
                 }
             } else {

@@ -11,7 +11,7 @@ use union3d::engine::{Counts, Engine, Op, Rejected, Side, recount};
 use union3d::geometry::{CubeId, Edge, Effect, Place, Stock, Totals};
 use union3d::log::{Disk, Keep, LogError, Replayed, SceneLog};
 use union3d::service::{
-    Applied, Counting, FaultHook, FaultStep, Motion, Operations, Published, Readiness, Scene,
+    Applied, Counting, FailHook, FailPoint, Motion, Operations, Published, Readiness, Scene,
     SceneName, SceneState, Seq, Service, ServiceConfig, ServiceError, Submission,
 };
 
@@ -543,13 +543,13 @@ struct TestDisk {
 
 #[derive(Default)]
 struct DiskState {
-    fails: Option<(FaultStep, bool)>,
-    holds: Option<FaultStep>,
+    fails: Option<(FailPoint, bool)>,
+    holds: Option<FailPoint>,
     held: usize,
 }
 
 impl TestDisk {
-    fn hook(self: &Arc<Self>) -> FaultHook {
+    fn hook(self: &Arc<Self>) -> FailHook {
         let disk = self.clone();
         Arc::new(move |step| {
             let mut state = disk.state.lock();
@@ -574,10 +574,10 @@ impl TestDisk {
             }
         })
     }
-    fn fail(&self, fails: Option<(FaultStep, bool)>) {
+    fn fail(&self, fails: Option<(FailPoint, bool)>) {
         self.state.lock().fails = fails;
     }
-    fn hold(&self, holds: Option<FaultStep>) {
+    fn hold(&self, holds: Option<FailPoint>) {
         self.state.lock().holds = holds;
         self.changed.notify_all();
     }
@@ -590,12 +590,12 @@ impl TestDisk {
 }
 
 fn start_on(disk: &Arc<TestDisk>, config: ServiceConfig) -> Service {
-    Service::start_with_faults(config, disk.hook()).unwrap()
+    Service::start_with_failpoints(config, disk.hook()).unwrap()
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_full_queue_is_refused_and_nothing_shows_before_it_is_durable() {
-    for step in [FaultStep::Append, FaultStep::Appended] {
+    for step in [FailPoint::Append, FailPoint::Appended] {
         let directory = tempfile::tempdir().unwrap();
         let disk = Arc::new(TestDisk::default());
         let service = start_on(
@@ -661,9 +661,9 @@ async fn a_full_queue_is_refused_and_nothing_shows_before_it_is_durable() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_failed_write_stops_the_scene_and_it_comes_back_by_itself() {
     for (step, full, kept) in [
-        (FaultStep::Append, true, false),
-        (FaultStep::Append, false, false),
-        (FaultStep::Appended, false, true),
+        (FailPoint::Append, true, false),
+        (FailPoint::Append, false, false),
+        (FailPoint::Appended, false, true),
     ] {
         let directory = tempfile::tempdir().unwrap();
         let disk = Arc::new(TestDisk::default());
@@ -686,7 +686,7 @@ async fn a_failed_write_stops_the_scene_and_it_comes_back_by_itself() {
         assert_eq!(is_full, full);
         assert!(cause.contains("not acknowledged"), "{cause}");
         // It tries again all the time, and fails at the next append only: keep it down at the door.
-        disk.fail(Some((FaultStep::Open, full)));
+        disk.fail(Some((FailPoint::Open, full)));
         poll("the stop", || {
             matches!(scene.state(), SceneState::Stopped { .. }).then_some(())
         });
@@ -756,7 +756,7 @@ async fn replay_shows_its_progress_and_holds_up_nobody_else() {
         .unwrap();
     drop(service);
     let disk = Arc::new(TestDisk::default());
-    disk.hold(Some(FaultStep::Open));
+    disk.hold(Some(FailPoint::Open));
     let service = start_on(&disk, config(directory.path()));
     assert_eq!(service.readiness(), Readiness::Recovering { percent: 0 });
     let refused = service.scene("old");

@@ -127,17 +127,6 @@ pub enum Side {
     Outside,
 }
 
-/// The first `limit` cubes of a listing, and the cursor of the last of them when more follow.
-pub fn page(
-    mut cubes: impl Iterator<Item = (CubeId, Place)>,
-    limit: usize,
-) -> (Vec<(CubeId, Place)>, Option<Cursor>) {
-    let page: Vec<_> = cubes.by_ref().take(limit).collect();
-    let more = cubes.next();
-    let cursor = more.and(page.last()).map(|(id, _)| Cursor::of(*id));
-    (page, cursor)
-}
-
 /// A persistent set of identical cubes whose totals are always current.
 #[derive(Debug)]
 pub struct Engine {
@@ -289,7 +278,16 @@ impl Engine {
     /// # Errors
     /// [`Inconsistent`] when the effect does not fit; then nothing has changed.
     pub fn apply(&mut self, effect: &Effect) -> Result<(), Inconsistent> {
-        Self::apply_through(&RefCell::new(self), effect)
+        if Self::applies_at_once(effect) {
+            self.apply_few(effect)
+        } else {
+            Self::apply_many(&RefCell::new(self), effect)
+        }
+    }
+
+    /// Whether an effect is so small that applying it is one short step.
+    pub fn applies_at_once(effect: &Effect) -> bool {
+        effect.deleted.len() < BATCH_MIN && effect.inserted.len() < BATCH_MIN
     }
 
     /// The same to an engine that others read meanwhile, and nobody else changes. Until it returns they find in [`Self::get`],
@@ -298,10 +296,16 @@ impl Engine {
     /// # Errors
     /// As of [`Self::apply`].
     pub fn apply_through(access: &impl Access, effect: &Effect) -> Result<(), Inconsistent> {
-        let Effect { deleted, inserted } = effect;
-        if deleted.len() < BATCH_MIN && inserted.len() < BATCH_MIN {
-            return access.step(|engine| engine.apply_few(effect));
+        if Self::applies_at_once(effect) {
+            access.step(|engine| engine.apply(effect))
+        } else {
+            Self::apply_many(access, effect)
         }
+    }
+
+    /// Applies an effect in many steps.
+    fn apply_many(access: &impl Access, effect: &Effect) -> Result<(), Inconsistent> {
+        let Effect { deleted, inserted } = effect;
         let by_parts = access.look(|engine| engine.changes_whole_parts(effect));
         // When the effect does not fit, one cube after the other finds out where.
         if !(by_parts && change_ids(access, effect)) {
@@ -329,7 +333,12 @@ impl Engine {
             self.ids.prefetch(*id);
             self.prefetch_around(*place);
         }
-        apply_ids(&RefCell::new(&mut *self), effect)?;
+        if let Err(deleted) = self.remove_ids(&effect.deleted) {
+            return Err(self.undo_ids(effect, deleted, 0));
+        }
+        if let Err(inserted) = self.insert_ids(&effect.inserted) {
+            return Err(self.undo_ids(effect, effect.deleted.len(), inserted));
+        }
         self.delete_each(&effect.deleted);
         self.insert_each(&effect.inserted);
         self.complete_totals();
@@ -394,6 +403,22 @@ impl Engine {
             }
         }
         Ok(())
+    }
+
+    /// Takes back the first `deleted` removals and `inserted` insertions of ids of an effect, after which one did not fit.
+    fn undo_ids(&mut self, effect: &Effect, deleted: usize, inserted: usize) -> Inconsistent {
+        for (id, _) in effect.inserted[..inserted].iter().rev() {
+            let removed = self.ids.remove(*id);
+            assert!(removed.is_some(), "it was inserted a moment ago");
+        }
+        for (id, place) in effect.deleted[..deleted].iter().rev() {
+            let inserted = self.ids.insert(*id, *place);
+            assert!(inserted, "it was removed a moment ago");
+        }
+        let at_fault = effect.deleted.get(deleted);
+        let at_fault = at_fault.or_else(|| effect.inserted.get(inserted));
+        let (id, _) = *at_fault.expect("one of them did not fit");
+        Inconsistent { id }
     }
 
     fn insert(&mut self, id: CubeId, place: Place) {
@@ -644,26 +669,7 @@ fn apply_ids(access: &impl Access, effect: &Effect) -> Result<(), Inconsistent> 
     let Some((deleted, inserted)) = misfit else {
         return Ok(());
     };
-    access.step(|engine| {
-        for (id, _) in effect.inserted[..inserted].iter().rev() {
-            engine
-                .ids
-                .remove(*id)
-                .expect("it was inserted a moment ago");
-        }
-        for (id, place) in effect.deleted[..deleted].iter().rev() {
-            assert!(
-                engine.ids.insert(*id, *place),
-                "it was removed a moment ago"
-            );
-        }
-    });
-    let at_fault = effect
-        .deleted
-        .get(deleted)
-        .or_else(|| effect.inserted.get(inserted));
-    let (id, _) = *at_fault.expect("one of them did not fit");
-    Err(Inconsistent { id })
+    Err(access.step(|engine| engine.undo_ids(effect, deleted, inserted)))
 }
 
 /// Takes cubes to `task`, so many a step, until it fails; the error is how many were done before.

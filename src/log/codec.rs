@@ -80,10 +80,10 @@ impl Encoder {
         };
         to.extend([CUBES_VERSION, if compressed.is_some() { ZSTD } else { RAW }]);
         for group in groups {
-            put_varint(to, count_u64(group.len()));
+            put_varint(to, count(group.len()));
         }
         if let Some(compressed) = compressed {
-            put_varint(to, count_u64(self.body.len()));
+            put_varint(to, count(self.body.len()));
             to.extend_from_slice(&compressed);
         } else {
             to.extend_from_slice(&self.body);
@@ -165,7 +165,7 @@ fn decode_group(
         return Err(Malformed("fewer bytes than cubes"));
     }
     column.resize(count, 0);
-    take_column(reader, ID_BYTES_MAX, column)?;
+    read_column(reader, ID_BYTES_MAX, column)?;
     let mut id = 0_u64;
     let ids: Vec<u64> = column
         .iter()
@@ -176,7 +176,7 @@ fn decode_group(
         .collect();
     let mut corners = vec![[0_i64; 3]; count];
     for axis in 0..3 {
-        take_column(reader, COORDINATE_BYTES_MAX, column)?;
+        read_column(reader, COORDINATE_BYTES_MAX, column)?;
         let mut coordinate = 0_i64;
         for (corner, &folded) in corners.iter_mut().zip(&*column) {
             coordinate = coordinate.wrapping_add(unfold(folded));
@@ -203,7 +203,7 @@ fn decompress(reader: &mut Reader<'_>, size_max: usize) -> Result<Vec<u8>, Malfo
     // Grows with what really comes out, not with what is claimed.
     let mut body = Vec::new();
     let read = decoder
-        .take(count_u64(size) + 1)
+        .take(count(size) + 1)
         .read_to_end(&mut body)
         .map_err(malformed)?;
     if read != size {
@@ -222,7 +222,7 @@ fn put_column(to: &mut Vec<u8>, values: &[u64]) {
     }
 }
 
-fn take_column(
+fn read_column(
     reader: &mut Reader<'_>,
     width_max: usize,
     values: &mut [u64],
@@ -233,7 +233,7 @@ fn take_column(
     }
     values.fill(0);
     for shift in (0..width).map(|plane| 8 * u32::from(plane)) {
-        let plane = reader.take(values.len())?;
+        let plane = reader.bytes(values.len())?;
         for (value, &byte) in values.iter_mut().zip(plane) {
             *value |= u64::from(byte) << shift;
         }
@@ -301,7 +301,7 @@ fn put_bounds(to: &mut Vec<u8>, bounds: &Bounds) {
     }
 }
 
-fn take_bounds(reader: &mut Reader<'_>) -> Result<Bounds, Malformed> {
+fn read_bounds(reader: &mut Reader<'_>) -> Result<Bounds, Malformed> {
     let mut corners = [[0; 3]; 2];
     for coordinate in corners.as_flattened_mut() {
         *coordinate = i32::from_le_bytes(reader.array()?);
@@ -327,7 +327,7 @@ pub(super) fn stock(bytes: &[u8]) -> Result<Option<Stock>, Malformed> {
         return Ok(None);
     }
     let mut reader = Reader(bytes);
-    let Bounds { min, max } = take_bounds(&mut reader)?;
+    let Bounds { min, max } = read_bounds(&mut reader)?;
     reader.finish()?;
     match Stock::new(min.map(i64::from), max.map(i64::from)) {
         Ok(stock) => Ok(Some(stock)),
@@ -345,7 +345,7 @@ pub(super) fn put_volume(to: &mut Vec<u8>, volume: i128) {
 /// Whatever is not that.
 pub(super) fn volume(bytes: &[u8]) -> Result<i128, Malformed> {
     let mut reader = Reader(bytes);
-    let volume = take_volume(&mut reader)?;
+    let volume = read_volume(&mut reader)?;
     reader.finish()?;
     Ok(volume)
 }
@@ -353,7 +353,7 @@ pub(super) fn volume(bytes: &[u8]) -> Result<i128, Malformed> {
 /// The same, and what comes after it is left.
 /// # Errors
 /// Whatever is not that.
-pub(super) fn take_volume(reader: &mut Reader<'_>) -> Result<i128, Malformed> {
+pub(super) fn read_volume(reader: &mut Reader<'_>) -> Result<i128, Malformed> {
     reader.i128()
 }
 
@@ -362,28 +362,28 @@ pub(super) fn take_volume(reader: &mut Reader<'_>) -> Result<i128, Malformed> {
 /// Whatever is not that.
 pub(super) fn totals(bytes: &[u8]) -> Result<Totals, Malformed> {
     let mut reader = Reader(bytes);
-    let totals = take_totals(&mut reader)?;
+    let totals = read_totals(&mut reader)?;
     reader.finish()?;
     Ok(totals)
 }
 
 /// The totals at the start of `reader`.
-pub(super) fn take_totals(reader: &mut Reader<'_>) -> Result<Totals, Malformed> {
+pub(super) fn read_totals(reader: &mut Reader<'_>) -> Result<Totals, Malformed> {
     if reader.byte()? != TOTALS_VERSION {
         return Err(Malformed("totals of an unknown version"));
     }
     let cubes = u64::try_from(reader.i128()?).map_err(|_| Malformed("a negative count"))?;
-    let measures = take_measures(reader)?;
+    let measures = read_measures(reader)?;
     let bounds = match reader.byte()? {
         0 => None,
-        1 => Some(take_bounds(reader)?),
+        1 => Some(read_bounds(reader)?),
         _ => return Err(Malformed("bounds that are neither there nor not")),
     };
     let stock = match reader.byte()? {
         0 => None,
         1 => Some(StockMeasures {
-            removed: take_measures(reader)?,
-            remaining: take_measures(reader)?,
+            removed: read_measures(reader)?,
+            remaining: read_measures(reader)?,
         }),
         _ => return Err(Malformed("a stock that is neither there nor not")),
     };
@@ -395,7 +395,7 @@ pub(super) fn take_totals(reader: &mut Reader<'_>) -> Result<Totals, Malformed> 
     })
 }
 
-fn take_measures(reader: &mut Reader<'_>) -> Result<Measures, Malformed> {
+fn read_measures(reader: &mut Reader<'_>) -> Result<Measures, Malformed> {
     let mut measures = Measures {
         volume: reader.i128()?,
         ..Measures::default()
@@ -451,7 +451,7 @@ pub(super) fn put_varint(to: &mut Vec<u8>, mut number: u64) {
     to.push(number.to_le_bytes()[0]);
 }
 
-fn count_u64(count: usize) -> u64 {
+pub(super) fn count(count: usize) -> u64 {
     u64::try_from(count).expect("a count fits 64 bits")
 }
 
@@ -459,7 +459,7 @@ fn count_u64(count: usize) -> u64 {
 pub(super) struct Reader<'a>(pub(super) &'a [u8]);
 
 impl<'a> Reader<'a> {
-    pub(super) fn take(&mut self, count: usize) -> Result<&'a [u8], Malformed> {
+    pub(super) fn bytes(&mut self, count: usize) -> Result<&'a [u8], Malformed> {
         let (taken, rest) = self
             .0
             .split_at_checked(count)
@@ -470,7 +470,7 @@ impl<'a> Reader<'a> {
 
     pub(super) fn array<const N: usize>(&mut self) -> Result<[u8; N], Malformed> {
         Ok(*self
-            .take(N)?
+            .bytes(N)?
             .first_chunk()
             .expect("exactly N bytes were taken"))
     }
@@ -500,7 +500,7 @@ impl<'a> Reader<'a> {
         if length > N {
             return Err(Malformed("a number that is too wide"));
         }
-        let bytes = self.take(length)?;
+        let bytes = self.bytes(length)?;
         let negative = bytes.last().is_some_and(|&highest| highest >= 0x80);
         let mut number = [if negative { 0xFF } else { 0 }; N];
         number[..length].copy_from_slice(bytes);
@@ -668,7 +668,7 @@ mod tests {
             }
         }
         let mut forged = vec![CUBES_VERSION, RAW];
-        put_varint(&mut forged, count_u64(RECORD_CUBES_MAX));
+        put_varint(&mut forged, count(RECORD_CUBES_MAX));
         assert!(decode::<1>(&forged, edge()).is_err());
         put_varint(&mut forged, u64::MAX);
         assert!(decode::<2>(&forged, edge()).is_err());

@@ -1,13 +1,13 @@
 //! One SQLite connection, and the transactions of the writer.
 //!
-//! Knows how SQLite must be set up so that a commit is durable, and that every transaction moves the head. Never knows
+//! Knows how SQLite must be set up so that a commit is durable, and that every transaction moves the superblock. Never knows
 //! what a row means.
 
 use rusqlite::config::DbConfig;
 use rusqlite::{Connection, OpenFlags, Transaction, TransactionBehavior};
 
-use super::files::{APPLICATION_ID, Acknowledged, FORMAT, Mark, Site};
-use super::tables::{Head, Meta, Seal, TABLES};
+use super::files::{APPLICATION_ID, CommitMarker, CommitMarkerFile, FORMAT, Site};
+use super::tables::{Meta, Seal, Superblock, TABLES};
 use super::{LogError, Seq};
 
 /// SQLite cuts its write-ahead file down to this when it begins it anew.
@@ -15,13 +15,13 @@ const JOURNAL_SIZE_LIMIT: i64 = 64 << 20;
 /// `synchronous=FULL`: in WAL mode the write-ahead file is synced by every commit.
 const SYNCHRONOUS_FULL: i64 = 2;
 
-/// The writer's connection and the head as of its last commit.
+/// The writer's connection, and the superblock as of its last commit.
 pub(super) struct Database {
     pub(super) site: Site,
     pub(super) connection: Connection,
     pub(super) seal: Seal,
-    pub(super) head: Head,
-    acknowledged: Acknowledged,
+    pub(super) superblock: Superblock,
+    commit_marker: CommitMarkerFile,
 }
 
 impl Database {
@@ -32,7 +32,7 @@ impl Database {
             | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let connection = site.disk.connect(&site.database, flags);
         let connection = connection.map_err(site.sqlite(Seq(0)))?;
-        let head = Head::NEW;
+        let superblock = Superblock::NEW;
         let build = || {
             // Both can only be chosen for an empty file; incremental so that `trim` can give pages back.
             connection.pragma_update(None, "auto_vacuum", "INCREMENTAL")?;
@@ -44,7 +44,7 @@ impl Database {
                 transaction.execute(table, [])?;
             }
             meta.insert(&transaction)?;
-            head.write(&transaction, meta.seal())?;
+            superblock.write(&transaction, meta.seal())?;
             transaction.commit()
         };
         build().map_err(site.sqlite(Seq(0)))?;
@@ -53,16 +53,16 @@ impl Database {
         connection
             .close()
             .map_err(|(_, error)| site.sqlite(Seq(0))(error))?;
-        let mut acknowledged = Acknowledged::open(site).map_err(|error| site.io(&error))?;
-        acknowledged
-            .write(mark(&head))
-            .and_then(|()| acknowledged.sync())
+        let mut commit_marker = CommitMarkerFile::open(site).map_err(|error| site.io(&error))?;
+        commit_marker
+            .write(marker(&superblock))
+            .and_then(|()| commit_marker.sync())
             .map_err(|error| site.io(&error))
     }
 
     /// Opens the database of a scene and checks everything but its rows.
     pub(super) fn open(site: Site) -> Result<(Self, Meta), LogError> {
-        let seq = site.acknowledged_seq();
+        let seq = site.marked_seq();
         let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let connection = site.disk.connect(&site.database, flags);
         let connection = connection.map_err(site.sqlite(seq))?;
@@ -77,50 +77,50 @@ impl Database {
             .map_err(site.sqlite(seq))?
             .map_err(|error| site.damaged(seq, format_args!("its settings: {error}")))?;
         let seal = meta.seal();
-        let head = read_head(&site, &connection, seal, seq)?;
+        let superblock = read_superblock(&site, &connection, seal, seq)?;
         // SQLite has made its write-ahead file by now, and does not mind when the file's name cannot be synced.
         site.sync_names().map_err(|error| site.io(&error))?;
-        let acknowledged = Acknowledged::open(&site).map_err(|error| site.io(&error))?;
+        let commit_marker = CommitMarkerFile::open(&site).map_err(|error| site.io(&error))?;
         let database = Self {
             site,
             connection,
             seal,
-            head,
-            acknowledged,
+            superblock,
+            commit_marker,
         };
         Ok((database, meta))
     }
 
-    /// Runs `work` in a transaction that also moves the head to what `work` made of it. Durable when it returns `Ok`; nothing
+    /// Runs `work` in a transaction that also moves the superblock to what `work` made of it. Durable when it returns `Ok`; nothing
     /// has happened when it does not.
     pub(super) fn transact(
         &mut self,
-        work: impl FnOnce(&Connection, Seal, &mut Head) -> rusqlite::Result<()>,
+        work: impl FnOnce(&Connection, Seal, &mut Superblock) -> rusqlite::Result<()>,
     ) -> Result<(), LogError> {
-        let mut head = self.head;
-        head.generation += 1;
+        let mut superblock = self.superblock;
+        superblock.generation += 1;
         let commit = || {
             // Rolls back when it is dropped, also after a commit that failed.
             let transaction =
                 Transaction::new_unchecked(&self.connection, TransactionBehavior::Immediate)?;
-            work(&transaction, self.seal, &mut head)?;
-            head.write(&transaction, self.seal)?;
+            work(&transaction, self.seal, &mut superblock)?;
+            superblock.write(&transaction, self.seal)?;
             transaction.commit()
         };
-        commit().map_err(self.site.sqlite(self.head.seq))?;
-        self.head = head;
-        self.acknowledge();
+        commit().map_err(self.site.sqlite(self.superblock.seq))?;
+        self.superblock = superblock;
+        self.mark();
         Ok(())
     }
 
     /// Notes outside the database how far it has come.
-    pub(super) fn acknowledge(&mut self) {
-        // A mark that stays behind only makes the witness say less; the change itself is on stable storage.
-        drop(self.acknowledged.write(mark(&self.head)));
+    pub(super) fn mark(&mut self) {
+        // A marker that stays behind only says less; the change itself is on stable storage.
+        drop(self.commit_marker.write(marker(&self.superblock)));
     }
 
     /// Moves the write-ahead file into the database, once its rows are known to be right, and from now on whenever the log is closed.
-    pub(super) fn settle(&mut self) {
+    pub(super) fn checkpoint(&mut self) {
         // Neither is needed for what follows: a full disk must not keep a whole scene from being read.
         drop(
             self.connection
@@ -130,7 +130,7 @@ impl Database {
             self.connection
                 .pragma(None, "wal_checkpoint", "TRUNCATE", |_| Ok(())),
         );
-        self.acknowledge();
+        self.mark();
     }
 
     /// A connection that only reads.
@@ -141,24 +141,24 @@ impl Database {
             configure(&connection)?;
             Ok(connection)
         };
-        open().map_err(self.site.sqlite(self.head.seq))
+        open().map_err(self.site.sqlite(self.superblock.seq))
     }
 }
 
-fn mark(head: &Head) -> Mark {
-    Mark {
-        generation: head.generation,
-        seq: head.seq,
+fn marker(superblock: &Superblock) -> CommitMarker {
+    CommitMarker {
+        generation: superblock.generation,
+        seq: superblock.seq,
     }
 }
 
-pub(super) fn read_head(
+pub(super) fn read_superblock(
     site: &Site,
     connection: &Connection,
     seal: Seal,
     seq: Seq,
-) -> Result<Head, LogError> {
-    Head::read(connection, seal)
+) -> Result<Superblock, LogError> {
+    Superblock::read(connection, seal)
         .map_err(site.sqlite(seq))?
         .map_err(|error| site.damaged(seq, format_args!("its head: {error}")))
 }
@@ -232,6 +232,6 @@ pub(super) fn generation_without_write_ahead(site: &Site, seal: Seal) -> Option<
         | OpenFlags::SQLITE_OPEN_NO_MUTEX;
     let uri = format!("file:{escaped}?immutable=1");
     let connection = site.disk.connect(uri, flags).ok()?;
-    let head = Head::read(&connection, seal).ok()?.ok()?;
-    Some(head.generation)
+    let superblock = Superblock::read(&connection, seal).ok()?.ok()?;
+    Some(superblock.generation)
 }

@@ -152,13 +152,11 @@ impl Site {
                     .read_to_end(&mut bytes)
             })
             .map_err(|error| match error.kind() {
-                io::ErrorKind::NotFound => {
-                    self.damaged(self.acknowledged_seq(), "the file is missing")
-                }
+                io::ErrorKind::NotFound => self.damaged(self.marked_seq(), "the file is missing"),
                 _ => self.io(&error),
             })?;
         let Some(header) = bytes.first_chunk::<HEADER_SIZE>() else {
-            return Err(self.damaged(self.acknowledged_seq(), "its header is cut off"));
+            return Err(self.damaged(self.marked_seq(), "its header is cut off"));
         };
         let number = |at: usize| {
             i32::from_be_bytes(
@@ -180,66 +178,67 @@ impl Site {
         }
         // 2 and 2: read and written with a write-ahead file.
         if header[18..20] != [2, 2] {
-            return Err(self.damaged(self.acknowledged_seq(), "its header is damaged"));
+            return Err(self.damaged(self.marked_seq(), "its header is damaged"));
         }
         match u16::from_be_bytes([header[16], header[17]]) {
             1 => Ok(1 << 16),
             size if size >= 512 && size.is_power_of_two() => Ok(usize::from(size)),
-            _ => Err(self.damaged(self.acknowledged_seq(), "its page size is damaged")),
+            _ => Err(self.damaged(self.marked_seq(), "its page size is damaged")),
         }
     }
 
-    /// What is known to have been answered for, if the witness can be read.
-    pub(super) fn acknowledged_mark(&self) -> Option<Mark> {
+    /// What is known to have been answered for, if it can be read.
+    pub(super) fn commit_marker(&self) -> Option<CommitMarker> {
         let mut bytes = Vec::new();
         let mut file = self.disk.read(&self.acknowledged()).ok()?;
         file.read_to_end(&mut bytes).ok()?;
-        Acknowledged::parse(&bytes)
+        CommitMarkerFile::parse(&bytes)
     }
 
     /// The same, to name a seq where the database cannot be asked.
-    pub(super) fn acknowledged_seq(&self) -> Seq {
-        self.acknowledged_mark().unwrap_or_default().seq
+    pub(super) fn marked_seq(&self) -> Seq {
+        self.commit_marker().unwrap_or_default().seq
     }
 }
 
 /// How far the log had come when something was last answered for.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
-pub(super) struct Mark {
+pub(super) struct CommitMarker {
     /// Transactions since the scene was created.
     pub(super) generation: u64,
     /// Newest change.
     pub(super) seq: Seq,
 }
 
-/// A witness outside the database: a write-ahead file that is cut off between two changes looks like one that never had more.
+/// The file of the commit marker, outside the database: a write-ahead file that is cut off between two changes looks like one
+/// that never had more.
 ///
-/// The mark is written after each commit and never synced, which costs a microsecond. So it may lag behind after a power
+/// The marker is written after each commit and never synced, which costs a microsecond. So it may lag behind after a power
 /// failure, but it is never ahead of what was on stable storage; after the death of the process alone it is exact.
 #[derive(Debug)]
-pub(super) struct Acknowledged(OpenFile);
+pub(super) struct CommitMarkerFile(OpenFile);
 
-impl Acknowledged {
+impl CommitMarkerFile {
     const SIZE: usize = 20;
 
     pub(super) fn open(site: &Site) -> io::Result<Self> {
         site.disk.open(site.acknowledged()).map(Self)
     }
 
-    fn parse(bytes: &[u8]) -> Option<Mark> {
+    fn parse(bytes: &[u8]) -> Option<CommitMarker> {
         let bytes: &[u8; Self::SIZE] = bytes.try_into().ok()?;
         let (body, crc) = bytes.split_last_chunk::<4>()?;
         let (generation, seq) = body.split_first_chunk::<8>()?;
-        (crc32fast::hash(body) == u32::from_le_bytes(*crc)).then_some(Mark {
+        (crc32fast::hash(body) == u32::from_le_bytes(*crc)).then_some(CommitMarker {
             generation: u64::from_le_bytes(*generation),
             seq: Seq(u64::from_le_bytes(*seq.first_chunk()?)),
         })
     }
 
-    pub(super) fn write(&mut self, mark: Mark) -> io::Result<()> {
+    pub(super) fn write(&mut self, marker: CommitMarker) -> io::Result<()> {
         let mut bytes = [0; Self::SIZE];
-        bytes[..8].copy_from_slice(&mark.generation.to_le_bytes());
-        bytes[8..16].copy_from_slice(&mark.seq.0.to_le_bytes());
+        bytes[..8].copy_from_slice(&marker.generation.to_le_bytes());
+        bytes[8..16].copy_from_slice(&marker.seq.0.to_le_bytes());
         let crc = crc32fast::hash(&bytes[..16]);
         bytes[16..].copy_from_slice(&crc.to_le_bytes());
         self.0.write(&bytes)

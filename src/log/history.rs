@@ -6,9 +6,9 @@ use std::fmt;
 
 use rusqlite::{Connection, Transaction};
 
-use super::database::read_head;
+use super::database::read_superblock;
 use super::files::Site;
-use super::tables::{Changes, Head, Seal, ordered};
+use super::tables::{Changes, Seal, Superblock, ordered};
 use super::{HistoryRow, LogError, Motion, Seq};
 use crate::geometry::{Stock, Totals};
 
@@ -51,8 +51,8 @@ impl HistoryReader {
     /// # Errors
     /// [`LogError::Damaged`] when the log is.
     pub fn range(&self) -> Result<(Seq, Seq), LogError> {
-        let (_, head) = self.moment()?;
-        Ok((oldest(&head), head.seq))
+        let (_, superblock) = self.moment()?;
+        Ok((oldest(&superblock), superblock.seq))
     }
 
     /// The row of one seq; none when it is not kept. Seq 0 is the empty scene.
@@ -66,9 +66,9 @@ impl HistoryReader {
     /// # Errors
     /// [`LogError::Damaged`] when a row is missing or not what was written.
     pub fn rows(&self, from: Seq, to: Seq, limit: usize) -> Result<Vec<HistoryRow>, LogError> {
-        let (_transaction, head) = self.moment()?;
-        let first = from.max(oldest(&head));
-        let last = to.min(head.seq);
+        let (_transaction, superblock) = self.moment()?;
+        let first = from.max(oldest(&superblock));
+        let last = to.min(superblock.seq);
         let mut rows = Vec::new();
         if first > last || limit == 0 {
             return Ok(rows);
@@ -94,7 +94,7 @@ impl HistoryReader {
     ) -> Result<Vec<HistoryRow>, LogError> {
         /// Of so many rows the order by seq is quickly made from the index by move; of more, the table is read in its order.
         const INDEXED_ROWS_MAX: i64 = 8_192;
-        let (_transaction, head) = self.moment()?;
+        let (_transaction, superblock) = self.moment()?;
         let sqlite = self.site.sqlite(from);
         let [first, last] = moves.map(ordered);
         let found: i64 = self
@@ -117,7 +117,8 @@ impl HistoryReader {
         );
         let mut statement = self.connection.prepare_cached(&sql).map_err(&sqlite)?;
         let limit = i64::try_from(limit).unwrap_or(i64::MAX);
-        let ends = [from.max(oldest(&head)), to.min(head.seq)].map(|seq| seq.0.cast_signed());
+        let ends =
+            [from.max(oldest(&superblock)), to.min(superblock.seq)].map(|seq| seq.0.cast_signed());
         let mut rows = statement
             .query([first, last, ends[0], ends[1], limit])
             .map_err(&sqlite)?;
@@ -160,14 +161,14 @@ impl HistoryReader {
         Ok(())
     }
 
-    /// One moment of the log: until the transaction is dropped, all that is read is as of its head.
-    fn moment(&self) -> Result<(Transaction<'_>, Head), LogError> {
+    /// One moment of the log: until the transaction is dropped, all that is read is as of its superblock.
+    fn moment(&self) -> Result<(Transaction<'_>, Superblock), LogError> {
         let transaction = self
             .connection
             .unchecked_transaction()
             .map_err(self.site.sqlite(Seq(0)))?;
-        let head = read_head(&self.site, &self.connection, self.seal, Seq(0))?;
-        Ok((transaction, head))
+        let superblock = read_superblock(&self.site, &self.connection, self.seal, Seq(0))?;
+        Ok((transaction, superblock))
     }
 
     fn empty_scene(&self) -> HistoryRow {
@@ -183,10 +184,10 @@ impl HistoryReader {
     }
 }
 
-fn oldest(head: &Head) -> Seq {
-    if head.changes_first == 1 {
+fn oldest(superblock: &Superblock) -> Seq {
+    if superblock.changes_first == 1 {
         Seq(0)
     } else {
-        Seq(head.changes_first)
+        Seq(superblock.changes_first)
     }
 }

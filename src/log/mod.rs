@@ -5,19 +5,21 @@
 //! ```text
 //!   append ──> changes, operations, keys ──┐                         ┌──> replay: chunks, then later changes
 //!   snapshot_add ──> chunks ───────────────┴─> one SQLite database ──┼──> HistoryReader: totals by seq
-//!                    head: which rows there must be                  └──> verify
+//!              superblock: which rows there must be      │           └──> verify
+//!                                                        └─ disk: every access to it
 //! ```
 //! Why a wrong total cannot come out, whatever happens to the files:
-//! - A row other than the head is written once and sealed with a CRC, so a row that is there is right (`tables`).
-//! - The head is part of every transaction and says which rows there must be, so none is missing and none too many.
-//! - SQLite cuts a damaged write-ahead file off without a word; `wal` has looked at it before, and `files` keeps a witness of
-//!   what was answered for outside, so damage in the middle is refused and a lost end is told.
-//! - A write-ahead file that was cut can be older than the database it is laid over. Then the head is older than some
+//! - A row other than the superblock is written once and sealed with a CRC, so a row that is there is right (`tables`).
+//! - The superblock is part of every transaction and says which rows there must be, so none is missing and none too many.
+//! - SQLite cuts a damaged write-ahead file off without a word; `wal` has looked at it before, and `files` keeps a commit
+//!   marker outside: what was answered for. So damage in the middle is refused and a lost end is told.
+//! - A write-ahead file that was cut can be older than the database it is laid over. Then the superblock is older than some
 //!   page; SQLite's own check of its structure (`replay`) and the rows themselves show it.
 //!
 //! One question asks less: rows by the numbers of moves are found through an index, and how many there must be is written
 //! nowhere. A damaged index can leave rows out of that answer; the rows that are in it are right, and no state depends on it.
 
+mod chunks;
 mod codec;
 mod database;
 mod disk;
@@ -71,8 +73,8 @@ pub struct Record {
     pub at_ms: u64,
     /// What it did to the set of cubes.
     pub effect: Effect,
-    /// The seq whose cubes it has brought back, when it is a going back.
-    pub back_to: Option<Seq>,
+    /// The seq whose cubes it has brought back, when it is a revert.
+    pub reverts_to: Option<Seq>,
     /// What it belongs to.
     pub motion: Motion,
     /// Volume it removed from the stock, or added to the union where there is no stock. Units: steps cubed.
@@ -195,7 +197,7 @@ pub struct Keep {
     pub history_changes_max: u64,
     /// Newest idempotency keys kept.
     pub idempotency_keys_max: u64,
-    /// Newest changes whose operations are kept behind a snapshot, to go back by.
+    /// Newest changes whose operations are kept behind a snapshot, to revert by.
     pub revert_changes_max: u64,
     /// Most bytes of operations kept for that.
     pub revert_bytes_max: u64,

@@ -1,13 +1,13 @@
 //! Reading everything back: for replay what is needed, for verification what there is.
 //!
-//! Knows which rows the head promises, and that a row too few or too many is damage like a wrong CRC. Memory: one chunk or one
+//! Knows which rows the superblock promises, and that a row too few or too many is damage like a wrong CRC. Memory: one chunk or one
 //! record at a time.
 
 use rusqlite::{Connection, Row};
 
-use super::codec;
+use super::codec::{self, count};
 use super::database::Database;
-use super::scene::{SceneLog, count};
+use super::scene::SceneLog;
 use super::tables::{Changes, Packed, Snapshot};
 use super::{LogError, Record, Replayed, Seq};
 use crate::geometry::Effect;
@@ -32,7 +32,7 @@ impl SceneLog {
             self.replay_snapshot(snapshot, &mut progress, visit)?;
         }
         self.replay_changes(&mut progress, visit)?;
-        self.database.settle();
+        self.database.checkpoint();
         progress.finish();
         Ok(())
     }
@@ -42,17 +42,20 @@ impl SceneLog {
     /// [`LogError::Damaged`] names the first record at fault.
     pub fn verify(&mut self, progress: &mut dyn FnMut(u32)) -> Result<u64, LogError> {
         let Database {
-            site, seal, head, ..
+            site,
+            seal,
+            superblock,
+            ..
         } = &self.database;
         self.check_structure("integrity_check")?;
         self.check_ends()?;
-        let changes = head.seq.0 + 1 - head.changes_first;
-        let operations = head.seq.0 + 1 - head.operations_first;
+        let changes = superblock.seq.0 + 1 - superblock.changes_first;
+        let operations = superblock.seq.0 + 1 - superblock.operations_first;
         let chunks = self.snapshot.as_ref().map_or(0, |snapshot| snapshot.chunks);
-        // Opening has read the settings, the head, the snapshot and the keys.
+        // Opening has read the settings, the superblock, the snapshot and the keys.
         let opened = 2 + u64::from(self.snapshot.is_some()) + count(self.keys.len());
         let mut progress = Progress::new(changes + operations + chunks, progress);
-        let mut expected = head.changes_first;
+        let mut expected = superblock.changes_first;
         self.each("SELECT * FROM changes ORDER BY seq", [], |row| {
             let seq = expect(&mut expected, &mut progress);
             match Changes::parse(row, *seal) {
@@ -62,10 +65,10 @@ impl SceneLog {
             }
         })?;
         self.complete(expected)?;
-        let mut expected = head.operations_first;
+        let mut expected = superblock.operations_first;
         self.each("SELECT * FROM operations ORDER BY seq", [], |row| {
             let seq = expect(&mut expected, &mut progress);
-            self.back_to(row, 0, seq)?;
+            self.reverts_to(row, 0, seq)?;
             self.operations(row, 0, seq).map(drop)
         })?;
         self.complete(expected)?;
@@ -84,56 +87,56 @@ impl SceneLog {
         let Database {
             site,
             connection,
-            head,
+            superblock,
             ..
         } = &self.database;
         let found: String = connection
             .query_row(&format!("PRAGMA {pragma}(1)"), [], |row| row.get(0))
-            .map_err(site.sqlite(head.seq))?;
+            .map_err(site.sqlite(superblock.seq))?;
         if found == "ok" {
             Ok(())
         } else {
-            Err(site.damaged(head.seq, format_args!("SQLite finds {found:?}")))
+            Err(site.damaged(superblock.seq, format_args!("SQLite finds {found:?}")))
         }
     }
 
-    /// Whether the first and last rows are those that the head names; what lies between is counted by who reads it.
+    /// Whether the first and last rows are those that the superblock names; what lies between is counted by who reads it.
     fn check_ends(&self) -> Result<(), LogError> {
         let Database {
             site,
             connection,
-            head,
+            superblock,
             ..
         } = &self.database;
         for (table, first) in [
-            ("changes", head.changes_first),
-            ("operations", head.operations_first),
+            ("changes", superblock.changes_first),
+            ("operations", superblock.operations_first),
         ] {
-            let expected = (first <= head.seq.0).then_some((first, head.seq.0));
-            let ends = ends(connection, table).map_err(site.sqlite(head.seq))?;
+            let expected = (first <= superblock.seq.0).then_some((first, superblock.seq.0));
+            let ends = ends(connection, table).map_err(site.sqlite(superblock.seq))?;
             if ends != expected {
                 return Err(site.damaged(
-                    head.seq,
+                    superblock.seq,
                     format_args!("table {table} has other changes than its head says"),
                 ));
             }
         }
         let snapshots: i64 = connection
             .query_row("SELECT count(*) FROM snapshots", [], |row| row.get(0))
-            .map_err(site.sqlite(head.seq))?;
+            .map_err(site.sqlite(superblock.seq))?;
         let replayed_from = self.snapshot.as_ref().map_or(0, |snapshot| snapshot.seq.0);
-        let needed = [head.changes_first, head.operations_first];
+        let needed = [superblock.changes_first, superblock.operations_first];
         if snapshots != i64::from(self.snapshot.is_some())
             || needed.iter().any(|&first| first > replayed_from + 1)
         {
-            return Err(site.damaged(head.seq, "its snapshot is not what its head says"));
+            return Err(site.damaged(superblock.seq, "its snapshot is not what its head says"));
         }
         Ok(())
     }
 
     /// Measure of the work of a replay, for its progress.
     fn cubes_to_replay(&self) -> u64 {
-        let cubes = self.database.head.operations_cubes;
+        let cubes = self.database.superblock.operations_cubes;
         self.snapshot.as_ref().map_or(cubes, |snapshot| {
             snapshot.cubes + cubes.saturating_sub(snapshot.operations_cubes)
         })
@@ -228,7 +231,7 @@ impl SceneLog {
                 Err(error) => return Err(site.damaged(seq, format_args!("the totals: {error}"))),
             };
             let effect = self.operations(row, Changes::COLUMN_COUNT, seq)?;
-            let back_to = self.back_to(row, Changes::COLUMN_COUNT, seq)?;
+            let reverts_to = self.reverts_to(row, Changes::COLUMN_COUNT, seq)?;
             if (change.deleted, change.inserted)
                 != (count(effect.deleted.len()), count(effect.inserted.len()))
             {
@@ -239,7 +242,7 @@ impl SceneLog {
                 seq,
                 at_ms: change.at_ms,
                 effect,
-                back_to,
+                reverts_to,
                 motion: change.motion,
                 volume_removed: change.volume_removed,
                 totals: change.totals,
@@ -270,26 +273,28 @@ impl SceneLog {
         Ok(Effect { deleted, inserted })
     }
 
-    /// Which seq the change at `seq` went back to, from the columns of `operations` from `first` on.
-    pub(super) fn back_to(
+    /// Which seq the change at `seq` reverts to, from the columns of `operations` from `first` on.
+    pub(super) fn reverts_to(
         &self,
         row: &Row<'_>,
         first: usize,
         seq: Seq,
     ) -> Result<Option<Seq>, LogError> {
         let Database { site, seal, .. } = &self.database;
-        let back_to = Packed::back_to(row, first, *seal)
+        let reverts_to = Packed::reverts_to(row, first, *seal)
             .map_err(|error| site.damaged(seq, format_args!("what it went back to: {error}")))?;
-        if back_to.is_some_and(|back_to| back_to >= seq) {
+        if reverts_to.is_some_and(|reverts_to| reverts_to >= seq) {
             return Err(site.damaged(seq, "it went back to what had not been"));
         }
-        Ok(back_to)
+        Ok(reverts_to)
     }
 
     /// `expected` is the seq after the last that was read.
     fn complete(&self, expected: u64) -> Result<(), LogError> {
-        let Database { site, head, .. } = &self.database;
-        if expected == head.seq.0 + 1 {
+        let Database {
+            site, superblock, ..
+        } = &self.database;
+        if expected == superblock.seq.0 + 1 {
             Ok(())
         } else {
             Err(site.damaged(Seq(expected), "the change is missing"))
@@ -351,7 +356,7 @@ impl<'a> Progress<'a> {
 
     fn advance(&mut self, work: u64) {
         self.done += work;
-        // Not all before the end: what the head says about the amount of work is only an estimate of it.
+        // Not all before the end: what the superblock says about the amount of work is only an estimate of it.
         let thousandths = (u128::from(self.done) * 1000 / u128::from(self.all)).min(999);
         self.say(u32::try_from(thousandths).expect("at most 999"));
     }

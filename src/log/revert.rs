@@ -2,11 +2,11 @@
 //!
 //! Knows which operations are kept; what becomes of the difference is the service's.
 //!
-//! A change that went back made a state that had been before. So states are a tree, and the way between two of them
-//! leads over the changes that tell them apart, however often one went to and fro meanwhile:
+//! A revert makes a state that had been before. So states are a tree, and the way between two of them leads over the
+//! changes that tell them apart, however often there were reverts meanwhile:
 //!
 //! ```text
-//!   1 ── 2 ── 3 ── 4          5 went back to 2: it is the same state
+//!   1 ── 2 ── 3 ── 4          5 reverts to 2: it is the same state
 //!        └─ (5) ── 6 ── 7     from 7 to 4: undo 7 and 6, redo 3 and 4; what 5 did is not read
 //! ```
 
@@ -24,9 +24,9 @@ pub enum Step<'a> {
 }
 
 impl SceneLog {
-    /// Oldest seq that can be gone back to: the operations of every later change are kept.
+    /// Oldest seq that can be reverted to: the operations of every later change are kept.
     pub fn oldest_reachable(&self) -> Seq {
-        Seq(self.database.head.operations_first - 1)
+        Seq(self.database.superblock.operations_first - 1)
     }
 
     /// Shows what leads from the newest state to that at `to`, in order. `to` is reachable. O(operations that tell the two states
@@ -56,14 +56,14 @@ impl SceneLog {
         Ok(())
     }
 
-    /// The first seq with the same state, as far as it can be reached: of a change that went back, what it went back to.
+    /// The first seq with the same state, as far as it can be reached: of a revert, what it reverts to.
     fn origin(&self, seq: Seq) -> Result<Seq, LogError> {
         let oldest = self.oldest_reachable();
         let mut origin = seq;
         while origin > oldest {
             let sql = "SELECT seq, back_to, back_crc FROM operations WHERE seq = ?";
-            match self.one(sql, origin, |row| self.back_to(row, 0, origin))? {
-                Some(back_to) if back_to >= oldest => origin = back_to,
+            match self.one(sql, origin, |row| self.reverts_to(row, 0, origin))? {
+                Some(reverts_to) if reverts_to >= oldest => origin = reverts_to,
                 _ => break,
             }
         }

@@ -8,12 +8,12 @@ use std::fmt;
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use super::codec::{Encoder, RECORD_CUBES_MAX, put_totals};
+use super::chunks::SnapshotWriter;
+use super::codec::{Encoder, RECORD_CUBES_MAX, count, put_totals};
 use super::database::{Database, generation_without_write_ahead};
 use super::disk::Disk;
-use super::files::{Mark, Site, create_whole};
+use super::files::{CommitMarker, Site, create_whole};
 use super::history::HistoryReader;
-use super::snapshot::UnderWay;
 use super::tables::{CHUNKS_MAX, Changes, Keys, Meta, Packed, Snapshot};
 use super::wal::{self, WriteAhead};
 use super::{Header, HistoryRow, Keep, KeyRecord, LogError, Record, Seq};
@@ -30,7 +30,7 @@ pub struct SceneLog {
     pub(super) keep: Keep,
     /// The one to replay from.
     pub(super) snapshot: Option<Snapshot>,
-    pub(super) under_way: Option<UnderWay>,
+    pub(super) under_way: Option<SnapshotWriter>,
     /// Whether there may be chunks that belong to neither.
     pub(super) chunks_left_over: bool,
     /// Number of every key in the table.
@@ -44,7 +44,7 @@ impl fmt::Debug for SceneLog {
         formatter
             .debug_struct("SceneLog")
             .field("site", &self.database.site)
-            .field("head", &self.database.head)
+            .field("superblock", &self.database.superblock)
             .finish_non_exhaustive()
     }
 }
@@ -71,7 +71,7 @@ impl SceneLog {
             Database::create(&Site::new(disk, temporary), &meta)
         })?;
         let (mut log, _) = Self::open(disk, directory, keep)?;
-        log.database.settle();
+        log.database.checkpoint();
         Ok(log)
     }
 
@@ -93,25 +93,30 @@ impl SceneLog {
         if let WriteAhead::Broken { detail, frame } = write_ahead {
             let place = frame.map_or_else(String::new, |frame| format!(" (frame {frame})"));
             return Err(site.damaged(
-                site.acknowledged_seq(),
+                site.marked_seq(),
                 format_args!("SQLite's write-ahead file: {detail}{place}"),
             ));
         }
-        let acknowledged = site.acknowledged_mark();
+        let commit_marker = site.commit_marker();
         let (database, meta) = Database::open(site)?;
-        let (site, head) = (&database.site, &database.head);
+        let (site, superblock) = (&database.site, &database.superblock);
         if write_ahead != WriteAhead::Empty
             && generation_without_write_ahead(site, database.seal)
-                .is_some_and(|generation| generation > head.generation)
+                .is_some_and(|generation| generation > superblock.generation)
         {
             return Err(site.damaged(
-                head.seq,
+                superblock.seq,
                 "SQLite's write-ahead file ends before what is in the database already",
             ));
         }
-        let notices = notices(write_ahead, acknowledged, head.generation, head.seq);
+        let notices = notices(
+            write_ahead,
+            commit_marker,
+            superblock.generation,
+            superblock.seq,
+        );
         let edge = Edge::new(i64::from(meta.header.edge_steps))
-            .map_err(|error| site.damaged(head.seq, error))?;
+            .map_err(|error| site.damaged(superblock.seq, error))?;
         let mut log = Self {
             database,
             meta,
@@ -154,7 +159,7 @@ impl SceneLog {
             bytes,
             ..
         } = self;
-        database.transact(|connection, seal, head| {
+        database.transact(|connection, seal, superblock| {
             for record in records {
                 let Effect { deleted, inserted } = &record.effect;
                 bytes.clear();
@@ -163,10 +168,10 @@ impl SceneLog {
                     number: record.seq.0,
                     cubes: bytes,
                 };
-                operations.insert_operations(connection, seal, record.back_to)?;
-                head.seq = record.seq;
-                head.operations_bytes += count(bytes.len());
-                head.operations_cubes += count(deleted.len()) + count(inserted.len());
+                operations.insert_operations(connection, seal, record.reverts_to)?;
+                superblock.seq = record.seq;
+                superblock.operations_bytes += count(bytes.len());
+                superblock.operations_cubes += count(deleted.len()) + count(inserted.len());
                 let row = HistoryRow {
                     seq: record.seq,
                     at_ms: record.at_ms,
@@ -181,12 +186,12 @@ impl SceneLog {
                 Changes::insert(connection, seal, &row, bytes)?;
             }
             for record in keys {
-                Keys::insert(connection, seal, head.keys_next, record)?;
-                head.keys_next += 1;
+                Keys::insert(connection, seal, superblock.keys_next, record)?;
+                superblock.keys_next += 1;
             }
             Ok(())
         })?;
-        let numbers = self.database.head.keys_next - count(keys.len())..;
+        let numbers = self.database.superblock.keys_next - count(keys.len())..;
         self.keys
             .extend(keys.iter().map(|record| record.key.clone()).zip(numbers));
         Ok(())
@@ -204,7 +209,7 @@ impl SceneLog {
 
     /// Newest seq in the log.
     pub fn seq(&self) -> Seq {
-        self.database.head.seq
+        self.database.superblock.seq
     }
 
     /// The answer recorded for a key, with the body's hash, if it is kept. Looks in memory first: no I/O for unknown keys.
@@ -263,20 +268,22 @@ impl SceneLog {
             site,
             connection,
             seal,
-            head,
+            superblock,
             ..
         } = &self.database;
-        if head.snapshot != 0 {
+        if superblock.snapshot != 0 {
             let snapshot = connection
                 .query_row(
                     "SELECT * FROM snapshots WHERE number = ?",
-                    [head.snapshot.cast_signed()],
+                    [superblock.snapshot.cast_signed()],
                     |row| Ok(Snapshot::parse(row, *seal)),
                 )
-                .map_err(site.sqlite(head.seq))?
-                .map_err(|error| site.damaged(head.seq, format_args!("its snapshot: {error}")))?;
-            if snapshot.seq > head.seq {
-                return Err(site.damaged(head.seq, "its snapshot is newer than its head"));
+                .map_err(site.sqlite(superblock.seq))?
+                .map_err(|error| {
+                    site.damaged(superblock.seq, format_args!("its snapshot: {error}"))
+                })?;
+            if snapshot.seq > superblock.seq {
+                return Err(site.damaged(superblock.seq, "its snapshot is newer than its head"));
             }
             self.snapshot = Some(snapshot);
         }
@@ -287,13 +294,13 @@ impl SceneLog {
                 [first, end],
                 |row| row.get(0),
             )
-            .map_err(site.sqlite(head.seq))?;
+            .map_err(site.sqlite(superblock.seq))?;
         Ok(())
     }
 
     /// Ids that the chunks of the snapshot can have: from, to before.
     pub(super) fn snapshot_chunks(&self) -> (i64, i64) {
-        let first = self.database.head.snapshot * CHUNKS_MAX;
+        let first = self.database.superblock.snapshot * CHUNKS_MAX;
         (first.cast_signed(), (first + CHUNKS_MAX).cast_signed())
     }
 
@@ -302,10 +309,10 @@ impl SceneLog {
             site,
             connection,
             seal,
-            head,
+            superblock,
             ..
         } = &self.database;
-        let mut expected = head.keys_first;
+        let mut expected = superblock.keys_first;
         let mut read = || -> rusqlite::Result<Result<(), LogError>> {
             let mut statement = connection.prepare("SELECT * FROM keys ORDER BY number")?;
             let mut rows = statement.query([])?;
@@ -318,16 +325,16 @@ impl SceneLog {
                     _ => break,
                 }
             }
-            Ok(if expected == head.keys_next {
+            Ok(if expected == superblock.keys_next {
                 Ok(())
             } else {
                 Err(site.damaged(
-                    head.seq,
+                    superblock.seq,
                     format_args!("idempotency key {expected} is missing or damaged"),
                 ))
             })
         };
-        read().map_err(site.sqlite(head.seq))?
+        read().map_err(site.sqlite(superblock.seq))?
     }
 
     fn check_sizes(&self, records: &[Record]) -> Result<(), LogError> {
@@ -345,21 +352,17 @@ impl SceneLog {
     }
 }
 
-pub(super) fn count(count: usize) -> u64 {
-    u64::try_from(count).expect("a count fits 64 bits")
-}
-
 /// What to tell about an end that is gone.
 fn notices(
     write_ahead: WriteAhead,
-    acknowledged: Option<Mark>,
+    commit_marker: Option<CommitMarker>,
     generation: u64,
     seq: Seq,
 ) -> Vec<String> {
     let mut notices = Vec::new();
     if let WriteAhead::Torn { frames, bytes } = write_ahead {
-        let missing = match acknowledged {
-            Some(mark) if mark.seq <= seq => {
+        let missing = match commit_marker {
+            Some(marker) if marker.seq <= seq => {
                 ", and nothing that is known to have been acknowledged is missing"
             }
             _ => "",
@@ -369,18 +372,18 @@ fn notices(
             seq.0
         ));
     }
-    match acknowledged {
+    match commit_marker {
         None => notices.push(format!(
             "the file \"acknowledged\" is missing or damaged, so it cannot be told whether later changes were lost; the scene stands at seq {}",
             seq.0
         )),
-        Some(mark) if mark.seq > seq => notices.push(format!(
+        Some(marker) if marker.seq > seq => notices.push(format!(
             "changes {} to {} were acknowledged and are lost with the end of SQLite's write-ahead file; the scene stands at seq {}",
             seq.0 + 1,
-            mark.seq.0,
+            marker.seq.0,
             seq.0
         )),
-        Some(mark) if mark.generation > generation => notices.push(format!(
+        Some(marker) if marker.generation > generation => notices.push(format!(
             "the end of SQLite's write-ahead file is lost, but no change with it; the scene stands at seq {}",
             seq.0
         )),
@@ -410,7 +413,7 @@ mod tests {
             seq: Seq(seq),
             at_ms: 0,
             motion: Motion::default(),
-            back_to: None,
+            reverts_to: None,
             volume_removed: 0,
             effect: Effect {
                 deleted: vec![],
@@ -443,12 +446,15 @@ mod tests {
                 .unwrap();
         };
         limit(&log, 16);
-        let head = log.database.head;
+        let superblock = log.database.superblock;
         let error = log
             .append(&[record(2, 10), record(3, 100_000)], &[])
             .unwrap_err();
         assert!(matches!(error, LogError::Full { .. }), "{error}");
-        assert_eq!(log.database.head, head, "nothing of it has happened");
+        assert_eq!(
+            log.database.superblock, superblock,
+            "nothing of it has happened"
+        );
         limit(&log, 1 << 20);
         log.probe().unwrap();
         log.append(&[record(2, 100_000)], &[]).unwrap();

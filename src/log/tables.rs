@@ -1,15 +1,15 @@
 //! The tables of a scene's database: their columns, and the CRC that each row carries.
 //!
 //! Knows rows, one at a time; which rows there must be is known by `scene` and `replay`. Every row is sealed with its
-//! table's name and the scene's incarnation, so that no row passes for one of another table or scene. All rows but the head are never
+//! table's name and the scene's incarnation, so that no row passes for one of another table or scene. All rows but the superblock are never
 //! changed once written, so a row that is there and sealed is right.
 //!
 //! ```text
 //! head        1 row, part of every transaction: which rows there must be
 //! meta        1 row: what was fixed when the scene was created
 //! changes     seq -> time, counts, totals         kept as long as the history is
-//! operations  seq -> cubes deleted and inserted   kept for replay, and to go back by; and, with a CRC of its own because
-//!                    the cubes need not be read then, which seq it went back to
+//! operations  seq -> cubes deleted and inserted   kept for replay, and to revert by; and, with a CRC of its own because
+//!                    the cubes need not be read then, which seq it reverts to
 //! snapshots   number -> seq, time, totals, ...    one, or none yet
 //! chunks      number << 16 | index -> up to 65,536 cubes
 //! keys        number -> idempotency key and its answer
@@ -22,7 +22,7 @@ use super::codec::{self, Malformed, Reader};
 use super::{Answer, Header, HistoryRow, KeyRecord, Motion, Seq};
 use crate::geometry::{CubeId, Totals};
 
-/// Every table and index, as the schema has it word for word. The head is first and its one page low, so that a checkpoint, which writes pages
+/// Every table and index, as the schema has it word for word. The superblock is first and its one page low, so that a checkpoint, which writes pages
 /// in their order, moves it before any row.
 pub(super) const TABLES: [(&str, &str); 8] = [
     (
@@ -157,7 +157,7 @@ impl<'a> Columns<'a> {
 
 /// Which rows there must be. Changed by every transaction.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(super) struct Head {
+pub(super) struct Superblock {
     /// Transactions so far.
     pub(super) generation: u64,
     /// Newest change.
@@ -182,7 +182,7 @@ pub(super) struct Head {
     pub(super) keys_next: u64,
 }
 
-impl Head {
+impl Superblock {
     pub(super) const NEW: Self = Self {
         generation: 0,
         seq: Seq(0),
@@ -243,7 +243,7 @@ impl Head {
 
     fn parse(row: &Row<'_>, seal: Seal) -> Result<Self, Malformed> {
         let columns = Columns(row);
-        let head = Self {
+        let superblock = Self {
             generation: columns.number(1)?,
             seq: Seq(columns.number(2)?),
             changes_first: columns.number(3)?,
@@ -256,8 +256,8 @@ impl Head {
             keys_first: columns.number(10)?,
             keys_next: columns.number(11)?,
         };
-        head.crc(seal).check(columns.number(12)?)?;
-        Ok(head)
+        superblock.crc(seal).check(columns.number(12)?)?;
+        Ok(superblock)
     }
 }
 
@@ -410,48 +410,48 @@ impl<'a> Packed<'a> {
         &self,
         connection: &Connection,
         seal: Seal,
-        back_to: Option<Seq>,
+        reverts_to: Option<Seq>,
     ) -> rusqlite::Result<()> {
         let crc = self.crc(seal, "operations").finish();
-        let back_crc = Self::back_crc(seal, self.number, back_to).finish();
+        let reverts_crc = Self::reverts_crc(seal, self.number, reverts_to).finish();
         connection
             .prepare_cached("INSERT INTO operations VALUES(?, ?, ?, ?, ?)")?
             .execute(params![
                 self.number.cast_signed(),
-                back_to.map(|seq| seq.0.cast_signed()),
-                back_crc,
+                reverts_to.map(|seq| seq.0.cast_signed()),
+                reverts_crc,
                 self.cubes,
                 crc
             ])?;
         Ok(())
     }
 
-    fn back_crc(seal: Seal, number: u64, back_to: Option<Seq>) -> Crc {
+    fn reverts_crc(seal: Seal, number: u64, reverts_to: Option<Seq>) -> Crc {
         let mut crc = seal.row("operations back");
         crc.number(number)
-            .number(u64::from(back_to.is_some()))
-            .number(back_to.map_or(0, |seq| seq.0));
+            .number(u64::from(reverts_to.is_some()))
+            .number(reverts_to.map_or(0, |seq| seq.0));
         crc
     }
 
-    /// The columns `seq`, `back_to` and `back_crc` of `operations` from `first` on: which seq a change went back to.
-    pub(super) fn back_to(
+    /// The columns `seq`, `back_to` and `back_crc` of `operations` from `first` on: which seq a change reverts to.
+    pub(super) fn reverts_to(
         row: &Row<'_>,
         first: usize,
         seal: Seal,
     ) -> Result<Option<Seq>, Malformed> {
         let columns = Columns(row);
         let number = columns.number(first)?;
-        let back_to = match columns.value(first + 1)? {
+        let reverts_to = match columns.value(first + 1)? {
             ValueRef::Null => None,
             ValueRef::Integer(seq) => Some(Seq(seq.cast_unsigned())),
             _ => return Err(Malformed("a column is not a number")),
         };
-        Self::back_crc(seal, number, back_to).check(columns.number(first + 2)?)?;
-        Ok(back_to)
+        Self::reverts_crc(seal, number, reverts_to).check(columns.number(first + 2)?)?;
+        Ok(reverts_to)
     }
 
-    /// A whole row of `operations`, from the column `first` on; but for what [`Self::back_to`] reads.
+    /// A whole row of `operations`, from the column `first` on; but for what [`Self::reverts_to`] reads.
     pub(super) fn operations(
         row: &'a Row<'a>,
         first: usize,
@@ -512,9 +512,9 @@ pub(super) struct Snapshot {
     pub(super) next_id: u64,
     pub(super) cubes: u64,
     pub(super) chunks: u64,
-    /// [`Head::operations_bytes`] when it was begun.
+    /// [`Superblock::operations_bytes`] when it was begun.
     pub(super) operations_bytes: u64,
-    /// [`Head::operations_cubes`] when it was begun.
+    /// [`Superblock::operations_cubes`] when it was begun.
     pub(super) operations_cubes: u64,
 }
 
@@ -635,7 +635,7 @@ impl Keys {
             body: body
                 .try_into()
                 .map_err(|_| Malformed("its hash has another length"))?,
-            answer: take_answer(answer)?,
+            answer: read_answer(answer)?,
         };
         Ok((number, record))
     }
@@ -665,7 +665,7 @@ fn put_answer(to: &mut Vec<u8>, answer: &Answer) {
     codec::put_totals(to, &answer.totals);
 }
 
-fn take_answer(bytes: &[u8]) -> Result<Answer, Malformed> {
+fn read_answer(bytes: &[u8]) -> Result<Answer, Malformed> {
     let mut reader = Reader(bytes);
     if reader.byte()? != ANSWER_VERSION {
         return Err(Malformed("an answer of an unknown version"));
@@ -681,8 +681,8 @@ fn take_answer(bytes: &[u8]) -> Result<Answer, Malformed> {
             1 => Some((CubeId(reader.varint()?), CubeId(reader.varint()?))),
             _ => return Err(Malformed("ids that are neither given nor not")),
         },
-        volume_removed: codec::take_volume(&mut reader)?,
-        totals: codec::take_totals(&mut reader)?,
+        volume_removed: codec::read_volume(&mut reader)?,
+        totals: codec::read_totals(&mut reader)?,
     };
     reader.finish()?;
     Ok(answer)

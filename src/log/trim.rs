@@ -1,11 +1,12 @@
 //! Dropping what is not needed any more, a slice at a time, so that changes never wait long.
 //!
-//! Knows what is superfluous; each slice is a transaction that takes the rows and moves the head together.
+//! Knows what is superfluous; each slice is a transaction that takes the rows and moves the superblock together.
 
 use rusqlite::Connection;
 
 use super::LogError;
-use super::scene::{SceneLog, count};
+use super::codec::count;
+use super::scene::SceneLog;
 use super::tables::CHUNKS_MAX;
 
 /// Bounds of a slice: milliseconds of work.
@@ -27,43 +28,45 @@ impl SceneLog {
     pub fn wants_trim(&self) -> bool {
         self.chunks_left_over()
             || self.operations_past_limit(SLACK_ROWS)
-            || self.changes_end() >= self.database.head.changes_first + SLACK_ROWS
-            || self.keys_end() >= self.database.head.keys_first + SLACK_ROWS
+            || self.changes_end() >= self.database.superblock.changes_first + SLACK_ROWS
+            || self.keys_end() >= self.database.superblock.keys_first + SLACK_ROWS
     }
 
     /// Drops a slice of what is no longer needed (ops behind the snapshot, old totals, old snapshots, old keys); true when more is left.
     /// # Errors
     /// The disk's.
     pub fn trim(&mut self) -> Result<bool, LogError> {
-        let head = self.database.head;
+        let superblock = self.database.superblock;
         if self.operations_past_limit(0) {
             self.trim_operations()?;
         } else if self.chunks_left_over() {
             self.trim_chunks()?;
-        } else if self.changes_end() > head.changes_first {
-            let end = self.changes_end().min(head.changes_first + SLICE_ROWS);
-            self.database.transact(|connection, _, head| {
-                let dropped = end - head.changes_first;
+        } else if self.changes_end() > superblock.changes_first {
+            let end = self
+                .changes_end()
+                .min(superblock.changes_first + SLICE_ROWS);
+            self.database.transact(|connection, _, superblock| {
+                let dropped = end - superblock.changes_first;
                 delete(
                     connection,
                     "DELETE FROM changes WHERE seq < ?",
                     end,
                     dropped,
                 )?;
-                head.changes_first = end;
+                superblock.changes_first = end;
                 Ok(())
             })?;
-        } else if self.keys_end() > head.keys_first {
-            let end = self.keys_end().min(head.keys_first + SLICE_ROWS);
-            self.database.transact(|connection, _, head| {
-                let dropped = end - head.keys_first;
+        } else if self.keys_end() > superblock.keys_first {
+            let end = self.keys_end().min(superblock.keys_first + SLICE_ROWS);
+            self.database.transact(|connection, _, superblock| {
+                let dropped = end - superblock.keys_first;
                 delete(
                     connection,
                     "DELETE FROM keys WHERE number < ?",
                     end,
                     dropped,
                 )?;
-                head.keys_first = end;
+                superblock.keys_first = end;
                 Ok(())
             })?;
             self.keys.retain(|_, &mut number| number >= end);
@@ -75,15 +78,15 @@ impl SceneLog {
 
     /// Whether there are operations in the snapshot that are past the limits, by more than some changes.
     fn operations_past_limit(&self, slack: u64) -> bool {
-        let head = &self.database.head;
-        let kept = head.seq.0 + 1 - head.operations_first;
-        let kept_bytes = head.operations_bytes - head.dropped_bytes;
+        let superblock = &self.database.superblock;
+        let kept = superblock.seq.0 + 1 - superblock.operations_first;
+        let kept_bytes = superblock.operations_bytes - superblock.dropped_bytes;
         let slack_bytes = if slack > 0 {
             self.keep.revert_bytes_max / SLACK_BYTES_PART
         } else {
             0
         };
-        self.operations_end() > head.operations_first
+        self.operations_end() > superblock.operations_first
             && (kept > self.keep.revert_changes_max.saturating_add(slack)
                 || kept_bytes > self.keep.revert_bytes_max.saturating_add(slack_bytes))
     }
@@ -97,18 +100,18 @@ impl SceneLog {
 
     /// Changes before this are past the limit and not needed for replay. The newest is always kept.
     fn changes_end(&self) -> u64 {
-        let past =
-            (self.database.head.seq.0 + 1).saturating_sub(self.keep.history_changes_max.max(1));
+        let past = (self.database.superblock.seq.0 + 1)
+            .saturating_sub(self.keep.history_changes_max.max(1));
         past.min(self.operations_end())
     }
 
     fn keys_end(&self) -> u64 {
         let past = self
             .database
-            .head
+            .superblock
             .keys_next
             .saturating_sub(self.keep.idempotency_keys_max);
-        past.max(self.database.head.keys_first)
+        past.max(self.database.superblock.keys_first)
     }
 
     /// While a snapshot is under way its chunks are not left over, and those of the one before still needed.
@@ -119,10 +122,10 @@ impl SceneLog {
     fn trim_operations(&mut self) -> Result<(), LogError> {
         let end = self.operations_end();
         let keep = self.keep;
-        self.database.transact(|connection, _, head| {
-            let first = head.operations_first;
-            let kept = head.seq.0 + 1 - first;
-            let kept_bytes = head.operations_bytes - head.dropped_bytes;
+        self.database.transact(|connection, _, superblock| {
+            let first = superblock.operations_first;
+            let kept = superblock.seq.0 + 1 - first;
+            let kept_bytes = superblock.operations_bytes - superblock.dropped_bytes;
             let mut statement = connection.prepare_cached(
                 "SELECT length(cubes) FROM operations WHERE seq >= ? AND seq < ? ORDER BY seq LIMIT ?",
             )?;
@@ -142,8 +145,8 @@ impl SceneLog {
             // Never nothing, or a missing row would be trimmed for ever; `delete` notices.
             let end = first + dropped.max(1);
             delete(connection, "DELETE FROM operations WHERE seq < ?", end, end - first)?;
-            head.operations_first = end;
-            head.dropped_bytes += bytes;
+            superblock.operations_first = end;
+            superblock.dropped_bytes += bytes;
             Ok(())
         })
     }
@@ -187,7 +190,7 @@ impl SceneLog {
     }
 }
 
-/// Deletes exactly `rows`: the head said they are there.
+/// Deletes exactly `rows`: the superblock said they are there.
 fn delete(connection: &Connection, sql: &str, end: u64, rows: u64) -> rusqlite::Result<()> {
     let deleted = connection
         .prepare_cached(sql)?

@@ -83,11 +83,14 @@ impl Submission {
 }
 
 /// What waits for an answer.
-pub(super) type Answer = oneshot::Receiver<Result<Applied, ServiceError>>;
+pub(super) type OutcomeReceiver = oneshot::Receiver<Result<Applied, ServiceError>>;
 
 impl Pending {
     /// A change on its way, and what waits for its answer.
-    pub(super) fn new(submission: Submission, chain: Option<Chain>) -> (Box<Self>, Answer) {
+    pub(super) fn new(
+        submission: Submission,
+        chain: Option<Chain>,
+    ) -> (Box<Self>, OutcomeReceiver) {
         let (sender, answer) = oneshot::channel();
         let reply = Reply {
             sender: Some(sender),
@@ -194,7 +197,7 @@ impl Inbox {
 
     /// The changes that share the next commit. Waits until there are any or, when `idle_work` is there, does not wait.
     /// None: there will be no more, the inbox is closed.
-    pub(super) fn take(
+    pub(super) fn next_group(
         &self,
         group_operations_max: usize,
         idle_work: bool,
@@ -217,7 +220,7 @@ impl Inbox {
         let mut operations = 0;
         while let Some(next) = state.changes.front() {
             let more = next.submission.operations();
-            // A going back is a group of its own: nobody knows how many operations it takes before it is judged.
+            // A revert is a group of its own: nobody knows how many operations it takes before it is judged.
             let alone = matches!(next.submission.operations, Operations::Revert(_));
             if !group.is_empty() && (alone || operations + more > group_operations_max) {
                 break;

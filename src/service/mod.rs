@@ -5,19 +5,29 @@
 //! ```text
 //!   Service (registry) ── names to scenes, the data directory and its lock
 //!     └─ Scene ── what clients hold: change, published, subscribe, history, questions
-//!          │  inbox (bounded)                ▲ feed (totals that are durable)
-//!          ▼                                 │
-//!        writer ── one thread: judge, apply, append with one sync, publish, answer
-//!          └─ recover ── the way in: open the log, replay it, compare totals
+//!          │  inbox (bounded)                     ▲ feed (totals that are durable; the set of cubes as it is durable)
+//!          ▼                                      │
+//!        writer ── one thread: judge, apply, append with one sync, publish, answer; upkeep in between
+//!          └─ lifecycle ── open the log, replay it, serve, and again after a failure
 //! ```
 
+mod before;
+mod failpoint;
+mod feed;
+mod gate;
 mod inbox;
+mod judge;
+mod lifecycle;
 mod meters;
+mod next_id;
 mod offline;
-mod recover;
 mod registry;
+mod replay;
+mod revert;
 mod scene;
 mod set;
+mod tiered;
+mod upkeep;
 mod writer;
 
 use std::path::PathBuf;
@@ -27,8 +37,8 @@ use std::time::Duration;
 
 use crate::engine::{Counts, Op, Rejected};
 use crate::geometry::{CUBES_MAX, CubeId, Place, Totals};
-use crate::log::LogError;
 pub use crate::log::{Disk, HistoryRow, Motion, Seq};
+pub use failpoint::{FailHook, FailPoint};
 pub use meters::describe_metrics;
 pub use offline::{Offline, OfflineAudit};
 pub use registry::Service;
@@ -53,7 +63,7 @@ pub struct ServiceConfig {
     pub history_changes_max: u64,
     /// Newest idempotency keys kept, per scene.
     pub idempotency_keys_max: u64,
-    /// Newest changes of a scene that can be gone back behind, however large it is.
+    /// Newest changes of a scene that can be reverted, however large it is.
     pub revert_changes_max: u64,
     /// Most bytes kept for that, per scene.
     pub revert_bytes_max: u64,
@@ -296,20 +306,6 @@ pub struct Audit {
     /// Totals recounted from the cubes alone.
     pub recounted: Totals,
 }
-
-/// Where a test makes the disk fail.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub enum FaultStep {
-    /// Before a log is opened.
-    Open,
-    /// Before a group is appended: the disk keeps nothing of it.
-    Append,
-    /// After a group was appended: the disk keeps it, but the writer does not know.
-    Appended,
-}
-
-/// Asked at every [`FaultStep`]: the error to fail with, if any. For tests only.
-pub type FaultHook = Arc<dyn Fn(FaultStep) -> Option<LogError> + Send + Sync>;
 
 impl ServiceConfig {
     /// The defaults, for a data directory.

@@ -3,8 +3,8 @@
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
-use super::recover::{Compare, Halt, rebuild};
 use super::registry::lock_data;
+use super::replay::{Compare, rebuild};
 use super::{Audit, SceneName, StartError};
 use crate::engine::recount;
 use crate::log::{Disk, Keep, LogError, SceneLog};
@@ -95,11 +95,8 @@ impl Offline {
             Compare::Every,
             |permille| progress(500 + permille / 2),
             || false,
-        )
-        .map_err(|halt| match halt {
-            Halt::Log(error) => error,
-            Halt::Ended => unreachable!("nobody ends it"),
-        })?;
+        )?;
+        let rebuilt = rebuilt.expect("nobody ends it");
         let published = rebuilt.published();
         let places = rebuilt.engine.cubes().map(|(_, place)| place);
         Ok(OfflineAudit {

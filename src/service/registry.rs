@@ -15,11 +15,13 @@ use std::time::{Duration, Instant};
 use dashmap::DashMap;
 use parking_lot::{Condvar, Mutex, RwLock};
 
+use super::failpoint::FailHook;
+use super::gate::Gate;
 use super::inbox::End;
-use super::recover::{Gate, Halt, keep, revive};
+use super::lifecycle::{self, keep, revive};
 use super::scene::{Scene, Setup, blocking};
-use super::writer::{self, Live};
-use super::{FaultHook, Readiness, SceneName, SceneState, ServiceConfig, ServiceError, StartError};
+use super::writer::{Halt, Writer};
+use super::{Readiness, SceneName, SceneState, ServiceConfig, ServiceError, StartError};
 use crate::geometry::{Edge, Stock};
 use crate::log::{Disk, Header, SceneLog, remove_leftovers, remove_scene};
 
@@ -73,11 +75,14 @@ impl Service {
     /// As [`Service::start`], on a disk that fails when the hook says so. For tests only.
     /// # Errors
     /// As [`Service::start`].
-    pub fn start_with_faults(config: ServiceConfig, faults: FaultHook) -> Result<Self, StartError> {
-        Self::open(config, Some(faults))
+    pub fn start_with_failpoints(
+        config: ServiceConfig,
+        fail_hook: FailHook,
+    ) -> Result<Self, StartError> {
+        Self::open(config, Some(fail_hook))
     }
 
-    fn open(config: ServiceConfig, faults: Option<FaultHook>) -> Result<Self, StartError> {
+    fn open(config: ServiceConfig, fail_hook: Option<FailHook>) -> Result<Self, StartError> {
         let disk = config.disk.clone();
         disk.create_directories(&config.data)
             .map_err(|error| unusable(&config.data, &error))?;
@@ -92,7 +97,7 @@ impl Service {
         let setup = Arc::new(Setup {
             gate: Gate::new(config.replays_max),
             config,
-            faults,
+            fail_hook,
         });
         let mut found = Vec::new();
         let names = disk.list_directory(&scenes);
@@ -258,10 +263,10 @@ impl Registry {
         .map_err(Halt::from)
         .and_then(|log| revive(&scene, log))
         .map_err(refusal)
-        .and_then(|live| {
+        .and_then(|writer| {
             // Before the thread runs: the answer to `create` must not be followed by a refusal.
-            live.begin(&scene);
-            spawn(&scene, Some(live)).map_err(|error| storage(&error))
+            writer.begin(&scene);
+            spawn(&scene, Some(writer)).map_err(|error| storage(&error))
         });
         if let Err(error) = begun {
             // Nobody was told of the scene: it must not be there after a restart either.
@@ -357,11 +362,11 @@ impl Drop for BusyName<'_> {
 }
 
 /// Starts the thread that owns the scene.
-fn spawn(scene: &Arc<Scene>, live: Option<Live>) -> io::Result<()> {
+fn spawn(scene: &Arc<Scene>, writer: Option<Writer>) -> io::Result<()> {
     let owned = scene.clone();
     let thread = std::thread::Builder::new()
         .name(format!("scene {}", scene.name().as_str()))
-        .spawn(move || writer::run(&owned, live))?;
+        .spawn(move || lifecycle::run(&owned, writer))?;
     scene.keep_thread(thread);
     Ok(())
 }

@@ -17,14 +17,16 @@ use arc_swap::ArcSwap;
 use parking_lot::Mutex;
 use tokio::sync::{Semaphore, watch};
 
+use super::failpoint::FailHook;
+use super::feed::Feed;
+use super::gate::Gate;
 use super::inbox::{End, Inbox, Pending, Shut};
-use super::recover::Gate;
-use super::set::{CubeSet, View};
+use super::set::View;
 use super::{
-    Applied, Audit, CHANGE_OPERATIONS_MAX, Chain, FaultHook, HistoryRow, Published, SceneName,
-    SceneState, Seq, ServiceConfig, ServiceError, Submission, meters,
+    Applied, Audit, CHANGE_OPERATIONS_MAX, Chain, HistoryRow, Published, SceneName, SceneState,
+    Seq, ServiceConfig, ServiceError, Submission, meters,
 };
-use crate::engine::{Cursor, Engine, Side, recount};
+use crate::engine::{Cursor, Side, recount};
 use crate::geometry::{CubeId, Edge, Place, Stock};
 use crate::log::{Header, HistoryReader, LogError};
 
@@ -32,15 +34,7 @@ use crate::log::{Header, HistoryReader, LogError};
 pub(super) struct Setup {
     pub(super) config: ServiceConfig,
     pub(super) gate: Gate,
-    pub(super) faults: Option<FaultHook>,
-}
-
-/// Where readers find the durable state.
-pub(super) struct Feed {
-    pub(super) set: CubeSet,
-    newest: ArcSwap<Published>,
-    updates: watch::Sender<Published>,
-    history: Mutex<HistoryReader>,
+    pub(super) fail_hook: Option<FailHook>,
 }
 
 /// How a scene is, with what its readers need.
@@ -501,26 +495,6 @@ impl Scene {
         for pending in self.inbox.close() {
             pending.reply.send(Err(refusal.clone()));
         }
-    }
-}
-
-impl Feed {
-    pub(super) fn new(engine: Engine, published: &Published, history: HistoryReader) -> Self {
-        Self {
-            set: CubeSet::new(engine, published),
-            newest: ArcSwap::from_pointee(*published),
-            updates: watch::Sender::new(*published),
-            history: Mutex::new(history),
-        }
-    }
-
-    /// Shows a new durable state: to those who look first, then to those who wait. Nobody sees an older state in one place
-    /// after this one in another.
-    pub(super) fn publish(&self, published: &Published) {
-        self.set.advance(published, || {
-            self.newest.store(Arc::new(*published));
-            self.updates.send_replace(*published);
-        });
     }
 }
 

@@ -9,14 +9,16 @@
 //!   reader   durable <───────────── undoes 3, 2 and 1, each as a whole: undoing what is not done does nothing
 //! ```
 
-use std::collections::HashMap;
-use std::sync::OnceLock;
+use std::collections::{BTreeSet, HashMap};
+use std::ops::Bound;
 
 use parking_lot::{RwLock, RwLockReadGuard, RwLockWriteGuard};
 
+use super::before::{Before, Touched, touched};
+use super::tiered::Tiered;
 use super::{Published, Seq};
-use crate::engine::{Access, Cursor, Engine, Held, Side, page};
-use crate::geometry::{CubeId, Effect, Place};
+use crate::engine::{Access, Cursor, Engine, Held, Side};
+use crate::geometry::{CubeId, Edge, Effect, Place};
 
 /// The cubes of a scene.
 pub(super) struct CubeSet(RwLock<State>);
@@ -25,21 +27,34 @@ struct State {
     engine: Engine,
     /// The last durable state.
     durable: Published,
-    /// What the changes since do, the oldest first.
-    ahead: Vec<Effect>,
-    /// Made when it is first needed.
-    undo: OnceLock<Undo>,
+    /// What the changes since have done, or are about to do.
+    ahead: Ahead,
     /// False in the middle of a step; a reader finds it so only when the step has panicked.
     is_whole: bool,
 }
 
-/// How to come back from the engine's cubes to the durable ones.
-struct Undo {
-    /// Where the cubes that have been touched were.
-    before: HashMap<CubeId, Option<Place>>,
-    /// Those that were somewhere, in the order of the listing.
-    back: Vec<(Cursor, (CubeId, Place))>,
+/// How to come back from the engine's cubes to the durable ones. Looking something up takes no longer for many changes than for few.
+#[derive(Default)]
+struct Ahead {
+    before: Before,
+    /// Those of `before` that were somewhere, by where: for the question which cubes hold a point.
+    gone: Tiered<(Cell, CubeId), Place>,
 }
+
+/// The cell of space in which a lower corner lies. A cell is an edge and a step wide, so all cubes that hold a point have their corners in
+/// two cells an axis.
+type Cell = [i32; 3];
+
+fn cell(corner: [i32; 3], edge: Edge) -> Cell {
+    corner.map(|part| part.div_euclid(edge.steps() + 1))
+}
+
+/// Cubes of an effect that one step notes. So many cubes are noted at once instead.
+const NOTED_A_STEP: usize = 256;
+const NOTED_AT_ONCE_MIN: usize = if cfg!(test) { 200 } else { 4096 };
+
+/// Cubes on their way that a page passes over before it ends early.
+const PASSED_OVER_MAX: usize = if cfg!(test) { 64 } else { 4096 };
 
 /// The last durable state, held while it is read.
 pub(super) struct View<'a>(RwLockReadGuard<'a, State>);
@@ -49,8 +64,7 @@ impl CubeSet {
         Self(RwLock::new(State {
             engine,
             durable: *durable,
-            ahead: Vec::new(),
-            undo: OnceLock::new(),
+            ahead: Ahead::default(),
             is_whole: true,
         }))
     }
@@ -67,23 +81,69 @@ impl CubeSet {
 
     /// Applies an effect that was judged against the engine: the engine is ahead then.
     pub(super) fn apply(&self, effect: &Effect) {
-        self.write(|state| state.ahead.push(effect.clone()));
-        Engine::apply_through(self, effect)
-            .expect("an effect fits the set that it was judged against");
+        let applied = if Engine::applies_at_once(effect) {
+            self.write(|state| {
+                state.is_whole = false;
+                state.note(&touched(effect, None));
+                let applied = state.engine.apply(effect);
+                state.is_whole = true;
+                applied
+            })
+        } else {
+            self.note(effect);
+            Engine::apply_through(self, effect)
+        };
+        applied.expect("an effect fits the set that it was judged against");
     }
 
     /// What the engine is ahead of is durable now; `show` tells those who do not look here, before anybody looks here.
     pub(super) fn advance(&self, durable: &Published, show: impl FnOnce()) {
-        self.write(|state| {
+        let done = self.write(|state| {
             state.durable = *durable;
-            state.ahead.clear();
             show();
+            std::mem::take(&mut state.ahead)
         });
+        // While others read already.
+        drop(done);
+    }
+
+    /// Notes a large effect before it is applied, in short steps. What is noted of a cube is true as long as nothing is applied, so
+    /// readers may come in between.
+    fn note(&self, effect: &Effect) {
+        let touched = touched(effect, None);
+        if touched.len() < NOTED_AT_ONCE_MIN {
+            for some in touched.chunks(NOTED_A_STEP) {
+                self.write(|state| state.note(some));
+            }
+            return;
+        }
+        let state = self.0.read();
+        let edge = state.engine.edge();
+        let (before, fresh) = state.ahead.before.merged(touched);
+        let gone = fresh.iter().filter_map(|(_, was)| was.cube());
+        let gone = gone.map(|(id, place)| ((cell(place.corner(), edge), id), place));
+        let mut gone: Vec<_> = gone.collect();
+        gone.sort_unstable_by_key(|(key, _)| *key);
+        let (gone, _) = state.ahead.gone.merged(gone);
+        drop(state);
+        let old = self.write(|state| {
+            let Ahead {
+                before: old_before,
+                gone: old_gone,
+            } = &mut state.ahead;
+            (old_before.replace(before), old_gone.replace_many(gone))
+        });
+        // While others read already.
+        drop(old);
+    }
+
+    /// Number of cubes in the engine.
+    pub(super) fn len(&self) -> u64 {
+        self.look(Engine::len)
     }
 
     fn write<T>(&self, write: impl FnOnce(&mut State) -> T) -> T {
         let mut state = self.0.write();
-        state.undo.take();
         let result = write(&mut state);
         // To those who wait, before the next step.
         RwLockWriteGuard::unlock_fair(state);
@@ -97,13 +157,58 @@ impl Access for CubeSet {
     }
 
     fn step<T>(&self, step: impl FnOnce(&mut Engine) -> T) -> T {
-        let mut state = self.0.write();
-        state.is_whole = false;
-        let result = step(&mut state.engine);
-        state.is_whole = true;
-        RwLockWriteGuard::unlock_fair(state);
-        result
+        self.write(|state| {
+            state.is_whole = false;
+            let result = step(&mut state.engine);
+            state.is_whole = true;
+            result
+        })
     }
+}
+
+impl State {
+    fn note(&mut self, touched: &[Touched]) {
+        let Ahead { before, gone } = &mut self.ahead;
+        for &touched in touched {
+            if before.note(touched)
+                && let Some((id, place)) = touched.1.cube()
+            {
+                gone.insert((cell(place.corner(), self.engine.edge()), id), place);
+            }
+        }
+    }
+}
+
+impl Ahead {
+    /// The cubes that were somewhere and hold a point.
+    fn gone_at(&self, point: [i32; 3], edge: Edge) -> impl Iterator<Item = (CubeId, Place)> + '_ {
+        let low = cell(point.map(|part| part.saturating_sub(edge.steps())), edge);
+        let high = cell(point, edge);
+        // Where both ends of an axis lie in one cell, each cell once.
+        let cells: BTreeSet<Cell> = (0..8_u8)
+            .map(|corner| {
+                let end = |axis: usize| if corner >> axis & 1 == 0 { low } else { high }[axis];
+                [end(0), end(1), end(2)]
+            })
+            .collect();
+        cells.into_iter().flat_map(move |one| {
+            let from = Bound::Included((one, CubeId(0)));
+            let gone = self
+                .gone
+                .from(from)
+                .take_while(move |((at, _), _)| *at == one);
+            gone.filter(move |(_, place)| holds(*place, point, edge))
+                .map(|((_, id), place)| (id, place))
+        })
+    }
+}
+
+/// Whether the closed cube at `place` holds a point, which may be anywhere.
+fn holds(place: Place, point: [i32; 3], edge: Edge) -> bool {
+    let sides = place.corner().into_iter().zip(point);
+    sides.fold(true, |holds, (low, at)| {
+        holds & (0..=i64::from(edge.steps())).contains(&(i64::from(at) - i64::from(low)))
+    })
 }
 
 impl<'a> View<'a> {
@@ -119,62 +224,51 @@ impl<'a> View<'a> {
         self.0.durable.seq
     }
 
-    /// Where a cube is. O(cubes on their way).
+    /// Where a cube is.
     pub(super) fn cube(&self, id: CubeId) -> Option<Place> {
-        let named = |cubes: &[(CubeId, Place)]| {
-            let cube = cubes.iter().find(|(named, _)| *named == id);
-            cube.map(|(_, place)| *place)
-        };
-        // The oldest change that names it knows where it was.
-        for effect in &self.0.ahead {
-            if let Some(place) = named(&effect.deleted) {
-                return Some(place);
-            }
-            if named(&effect.inserted).is_some() {
-                return None;
-            }
+        match self.0.ahead.before.get(id) {
+            Some(was) => was.place,
+            None => self.0.engine.get(id),
         }
-        self.0.engine.get(id)
     }
 
-    /// Up to `limit` cubes after the cursor (from the beginning without one), and the cursor of the last when more follow.
+    /// Up to `limit` cubes after the cursor (from the beginning without one), and the cursor to go on after when more may follow. A page
+    /// that meets very many cubes on their way ends before it is full. O(limit).
     pub(super) fn page(
         &self,
         after: Option<Cursor>,
         limit: usize,
     ) -> (Vec<(CubeId, Place)>, Option<Cursor>) {
-        page(self.cubes_after(after), limit)
+        let (mut page, mut last) = (Vec::new(), after);
+        let looked_at_max = limit.saturating_add(PASSED_OVER_MAX);
+        for (looked_at, (cursor, cube)) in self.listing(after).enumerate() {
+            if (cube.is_some() && page.len() == limit) || looked_at == looked_at_max {
+                return (page, last);
+            }
+            last = Some(cursor);
+            page.extend(cube);
+        }
+        (page, None)
     }
 
     /// All cubes, in the order of the listing.
     pub(super) fn cubes(&self) -> impl Iterator<Item = (CubeId, Place)> + '_ {
-        self.cubes_after(None)
+        self.listing(None).filter_map(|(_, cube)| cube)
     }
 
-    /// Where a point lies, and the cube of least id that holds it. O(cubes around it and cubes on their way).
+    /// Where a point lies, and the cube of least id that holds it. O(cubes around it).
     pub(super) fn contains(&self, point: [i32; 3]) -> (Side, Option<(CubeId, Place)>) {
         let State { engine, ahead, .. } = &*self.0;
-        if ahead.is_empty() {
+        if ahead.before.is_empty() {
             return engine.contains(point);
         }
         let mut holders: HashMap<CubeId, Place> = HashMap::new();
         engine.each_at(point, |id, place| {
-            holders.insert(id, place);
-        });
-        let edge = engine.edge().steps();
-        let holds = |(_, place): &&(CubeId, Place)| {
-            let sides = place.corner().into_iter().zip(point);
-            // As a difference of 64 bits: a point may be anywhere.
-            sides.fold(true, |holds, (low, at)| {
-                holds & (0..=i64::from(edge)).contains(&(i64::from(at) - i64::from(low)))
-            })
-        };
-        for effect in ahead.iter().rev() {
-            for (id, _) in effect.inserted.iter().filter(holds) {
-                holders.remove(id);
+            if ahead.before.get(id).is_none() {
+                holders.insert(id, place);
             }
-            holders.extend(effect.deleted.iter().filter(holds).copied());
-        }
+        });
+        holders.extend(ahead.gone_at(point, engine.edge()));
         let mut held = Held::new(engine.edge(), point);
         for (id, place) in holders {
             held.by(id, place);
@@ -182,35 +276,11 @@ impl<'a> View<'a> {
         held.answer()
     }
 
-    fn cubes_after(&self, after: Option<Cursor>) -> impl Iterator<Item = (CubeId, Place)> + '_ {
-        let undo = self.0.undo.get_or_init(|| Undo::of(&self.0.ahead));
-        let first = undo.back.partition_point(|(at, _)| Some(*at) <= after);
-        let mut back = undo.back[first..].iter().peekable();
-        let untouched = self.0.engine.cubes_after(after);
-        let mut untouched = untouched
-            .filter(|(id, _)| !undo.before.contains_key(id))
-            .peekable();
-        std::iter::from_fn(move || match (untouched.peek(), back.peek()) {
-            (Some((id, _)), Some((at, _))) if Cursor::of(*id) < *at => untouched.next(),
-            (_, Some(_)) => back.next().map(|(_, cube)| *cube),
-            (_, None) => untouched.next(),
-        })
-    }
-}
-
-impl Undo {
-    fn of(ahead: &[Effect]) -> Self {
-        let mut before: HashMap<CubeId, Option<Place>> = HashMap::new();
-        // The oldest change that names a cube has the last word, and in it that it was deleted.
-        for effect in ahead.iter().rev() {
-            before.extend(effect.inserted.iter().map(|(id, _)| (*id, None)));
-            before.extend(effect.deleted.iter().map(|(id, place)| (*id, Some(*place))));
-        }
-        let there = before.iter();
-        let there = there.filter_map(|(id, place)| Some((Cursor::of(*id), (*id, (*place)?))));
-        let mut back: Vec<_> = there.collect();
-        back.sort_unstable_by_key(|(at, _)| *at);
-        Self { before, back }
+    fn listing(
+        &self,
+        after: Option<Cursor>,
+    ) -> impl Iterator<Item = (Cursor, Option<(CubeId, Place)>)> + '_ {
+        self.0.ahead.before.listing(&self.0.engine, after)
     }
 }
 
@@ -344,8 +414,14 @@ mod tests {
                         points: &points,
                         ids: &ids,
                     };
-                    set.write(|state| state.ahead.push(effect.clone()));
-                    Engine::apply_through(&reader, &effect).unwrap();
+                    if Engine::applies_at_once(&effect) {
+                        set.apply(&effect);
+                        reader.read();
+                    } else {
+                        set.note(&effect);
+                        reader.read();
+                        Engine::apply_through(&reader, &effect).unwrap();
+                    }
                     for (id, _) in effect.deleted {
                         later.remove(&id);
                     }
@@ -357,5 +433,40 @@ mod tests {
                 assert_eq!(totals.cubes, durable.len() as u64);
             }
         }
+    }
+
+    /// A page looks at so many cubes and no more, however many are on their way, and who goes on finds them all once they are durable.
+    #[test]
+    fn a_page_passes_over_a_bounded_number_of_cubes() {
+        let edge = Edge::new(EDGE.into()).unwrap();
+        let empty = Published {
+            seq: Seq(0),
+            at_ms: 0,
+            totals: Totals::default(),
+        };
+        let set = CubeSet::new(Engine::new(edge), &empty);
+        let mut random = Random(1);
+        let inserted: Vec<_> = (0..1000)
+            .map(|id| (CubeId(id), random.place(edge)))
+            .collect();
+        let mut order: Vec<Cursor> = inserted.iter().map(|(id, _)| Cursor::of(*id)).collect();
+        order.sort_unstable();
+        set.apply(&Effect {
+            deleted: vec![],
+            inserted,
+        });
+        let (page, next) = set.view().unwrap().page(None, 10);
+        assert_eq!(
+            (page, next),
+            (vec![], Some(order[10 + PASSED_OVER_MAX - 1]))
+        );
+        let (page, next) = set.view().unwrap().page(Some(order[990]), 10);
+        assert_eq!((page, next), (vec![], None));
+        set.advance(&empty, || {});
+        let (page, next) = set.view().unwrap().page(Some(order[988]), 10);
+        assert_eq!(page.len(), 10);
+        assert_eq!(next, Some(order[998]));
+        let (page, next) = set.view().unwrap().page(next, 10);
+        assert_eq!((page.len(), next), (1, None));
     }
 }

@@ -13,7 +13,7 @@ use tonic_reflection::pb::v1::server_reflection_client::ServerReflectionClient;
 use tonic_reflection::pb::v1::server_reflection_request::MessageRequest;
 use tonic_reflection::pb::v1::server_reflection_response::MessageResponse;
 use tonic_reflection::pb::v1::{ListServiceResponse, ServerReflectionRequest};
-use union3d::service::{FaultStep, ServiceConfig};
+use union3d::service::{FailPoint, ServiceConfig};
 use union3d::wire::http::Limits;
 use union3d::wire::proto::WatchMassPropertiesRequest;
 
@@ -29,7 +29,7 @@ async fn it_serves_only_when_every_scene_is_replayed() {
     let hold = Arc::new(AtomicBool::new(true));
     let held = Arc::clone(&hold);
     let faults = move |step| {
-        while step == FaultStep::Open && held.load(Ordering::Acquire) {
+        while step == FailPoint::Open && held.load(Ordering::Acquire) {
             std::thread::sleep(Duration::from_millis(1));
         }
         None

@@ -10,7 +10,7 @@ use tokio_util::sync::CancellationToken;
 use tonic::transport::{Channel, Endpoint};
 use tonic::{Code, Status};
 use tonic_types::StatusExt;
-use union3d::service::{FaultHook, Readiness, Service, ServiceConfig};
+use union3d::service::{FailHook, Readiness, Service, ServiceConfig};
 use union3d::wire::grpc;
 use union3d::wire::http::{Limits, router};
 use union3d::wire::proto::union_service_client::UnionServiceClient;
@@ -42,7 +42,7 @@ impl Server {
     pub(crate) async fn with(
         limits: Limits,
         config: impl FnOnce(ServiceConfig) -> ServiceConfig,
-        faults: Option<FaultHook>,
+        faults: Option<FailHook>,
     ) -> Self {
         let data = tempfile::tempdir().unwrap();
         let config = config(ServiceConfig::new(data.path()));
@@ -54,11 +54,11 @@ impl Server {
         data: TempDir,
         limits: Limits,
         config: ServiceConfig,
-        faults: Option<FaultHook>,
+        faults: Option<FailHook>,
         wait: bool,
     ) -> Self {
         let service = match faults {
-            Some(faults) => Service::start_with_faults(config, faults).unwrap(),
+            Some(faults) => Service::start_with_failpoints(config, faults).unwrap(),
             None => Service::start(config).unwrap(),
         };
         if wait {

@@ -8,7 +8,7 @@ use tokio::sync::mpsc;
 use tokio_stream::{Stream, StreamExt};
 use tonic::{Code, Status, Streaming};
 use union3d::log::LogError;
-use union3d::service::{FaultStep, SceneState, ServiceConfig};
+use union3d::service::{FailPoint, SceneState, ServiceConfig};
 use union3d::wire::http::Limits;
 use union3d::wire::proto::{
     Acknowledged, Change, OnRefusal, Opened, Refused, StreamChangesRequest, StreamChangesResponse,
@@ -103,10 +103,10 @@ async fn changes_are_acknowledged_in_order_with_their_totals() {
 }
 
 /// A hook that keeps the scene's writer from the disk while the flag is up.
-fn held(hold: &Arc<AtomicBool>) -> union3d::service::FaultHook {
+fn held(hold: &Arc<AtomicBool>) -> union3d::service::FailHook {
     let hold = Arc::clone(hold);
     Arc::new(move |step| {
-        while step == FaultStep::Append && hold.load(Ordering::Acquire) {
+        while step == FailPoint::Append && hold.load(Ordering::Acquire) {
             std::thread::sleep(Duration::from_millis(1));
         }
         None
@@ -278,7 +278,7 @@ async fn slowed_down(queue_changes_max: usize) {
     let faults = {
         let (hold, is_held) = (hold.clone(), is_held.clone());
         move |step| {
-            while step == FaultStep::Append && hold.load(Ordering::Acquire) {
+            while step == FailPoint::Append && hold.load(Ordering::Acquire) {
                 is_held.store(true, Ordering::Release);
                 std::thread::sleep(Duration::from_millis(1));
             }
@@ -412,7 +412,7 @@ async fn a_failed_disk_is_no_refusal() {
     let fails = Arc::new(AtomicBool::new(false));
     let asked = fails.clone();
     let faults = move |step| {
-        let fails = step == FaultStep::Appended && asked.swap(false, Ordering::AcqRel);
+        let fails = step == FailPoint::Appended && asked.swap(false, Ordering::AcqRel);
         fails.then(|| LogError::Failed {
             path: "log".into(),
             cause: "the disk was pulled".to_owned(),

@@ -9,7 +9,7 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 use tokio::time::timeout;
 use union3d::log::LogError;
-use union3d::service::FaultStep;
+use union3d::service::FailPoint;
 use union3d::wire::http::Limits;
 
 use crate::server::{JSON, NDJSON, PATIENCE, Server, eventually, send};
@@ -221,7 +221,7 @@ async fn a_slow_disk_is_a_timeout_and_the_change_still_counts() {
     let hold = Arc::new(AtomicBool::new(false));
     let held = Arc::clone(&hold);
     let faults = move |step| {
-        while step == FaultStep::Append && held.load(Ordering::Acquire) {
+        while step == FailPoint::Append && held.load(Ordering::Acquire) {
             std::thread::sleep(Duration::from_millis(1));
         }
         None

@@ -7,7 +7,7 @@ use reqwest::header::HeaderMap;
 use reqwest::{Method, RequestBuilder};
 use serde_json::Value;
 use tempfile::TempDir;
-use union3d::service::{FaultHook, Readiness, Service, ServiceConfig};
+use union3d::service::{FailHook, Readiness, Service, ServiceConfig};
 use union3d::wire::http::{Limits, router};
 
 pub(crate) const JSON: &str = "application/json";
@@ -42,12 +42,12 @@ impl Server {
     pub(crate) async fn with(
         limits: Limits,
         config: impl FnOnce(ServiceConfig) -> ServiceConfig,
-        faults: Option<FaultHook>,
+        faults: Option<FailHook>,
     ) -> Self {
         let data = tempfile::tempdir().unwrap();
         let config = config(ServiceConfig::new(data.path()));
         let service = match faults {
-            Some(faults) => Service::start_with_faults(config, faults).unwrap(),
+            Some(faults) => Service::start_with_failpoints(config, faults).unwrap(),
             None => Service::start(config).unwrap(),
         };
         eventually("the service is ready", || {

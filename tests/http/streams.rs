@@ -9,7 +9,7 @@ use futures_util::future::{Either, join, join3, select};
 use serde_json::json;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
-use union3d::service::FaultStep;
+use union3d::service::FailPoint;
 use union3d::wire::http::Limits;
 
 use crate::server::{NDJSON, Server, eventually, send};
@@ -191,7 +191,7 @@ async fn a_full_queue_delays_a_stream_and_refuses_a_change() {
     let entered = Arc::new(AtomicBool::new(false));
     let (held, enters) = (Arc::clone(&hold), Arc::clone(&entered));
     let faults = move |step| {
-        while step == FaultStep::Append && held.load(Ordering::Acquire) {
+        while step == FailPoint::Append && held.load(Ordering::Acquire) {
             enters.store(true, Ordering::Release);
             std::thread::sleep(Duration::from_millis(1));
         }

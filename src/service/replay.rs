@@ -1,35 +1,15 @@
-//! From a log to a running scene: the one way in, at start and after a failure.
+//! From a log to the state that it leads to, as data.
+//!
+//! Knows the log and the engine. Never knows a scene, its threads or its clients.
 
 use std::collections::HashMap;
 use std::path::Path;
-use std::time::Instant;
 
-use parking_lot::{Condvar, Mutex};
-
-use super::scene::{Condition, Feed, Scene};
-use super::writer::{Live, inject};
-use super::{FaultStep, Published, Seq, meters};
+use super::next_id::NextId;
+use super::{Published, Seq};
 use crate::engine::Engine;
 use crate::geometry::{CubeId, Edge, Effect, Place, Totals};
-use crate::log::{Keep, LogError, Replayed, SceneLog};
-
-/// Lets a few scenes at a time be replayed: each replay can use all cores, and memory is not counted twice.
-pub(super) struct Gate {
-    free: Mutex<usize>,
-    changed: Condvar,
-}
-
-/// A place behind the [`Gate`], given back when dropped.
-pub(super) struct Pass<'a>(&'a Gate);
-
-/// Why a scene does not run.
-#[derive(Debug)]
-pub(super) enum Halt {
-    /// The log does not work; it may later.
-    Log(LogError),
-    /// The end was announced meanwhile.
-    Ended,
-}
+use crate::log::{LogError, Replayed, SceneLog};
 
 /// Which of the recorded totals a replay compares with those that it comes to.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -56,7 +36,7 @@ pub(super) struct Rebuilt {
     pub(super) engine: Engine,
     seq: Seq,
     at_ms: u64,
-    next_id: u64,
+    pub(super) next_id: NextId,
     compare: Compare,
     /// What is not in the engine yet.
     waiting: Effect,
@@ -66,126 +46,14 @@ pub(super) struct Rebuilt {
     expected: Option<Totals>,
 }
 
-impl Gate {
-    pub(super) fn new(places: usize) -> Self {
-        Self {
-            free: Mutex::new(places),
-            changed: Condvar::new(),
-        }
-    }
-
-    /// Waits for a place; none when `ended` says so first.
-    fn enter(&self, ended: impl Fn() -> bool) -> Option<Pass<'_>> {
-        let mut free = self.free.lock();
-        loop {
-            if ended() {
-                return None;
-            }
-            if *free > 0 {
-                *free -= 1;
-                return Some(Pass(self));
-            }
-            self.changed.wait(&mut free);
-        }
-    }
-
-    /// Makes those who wait look again whether they have ended.
-    pub(super) fn nudge(&self) {
-        // Under the lock, so that nobody is between its look and its wait.
-        let _free = self.free.lock();
-        self.changed.notify_all();
-    }
-}
-
-impl Drop for Pass<'_> {
-    fn drop(&mut self) {
-        *self.0.free.lock() += 1;
-        self.0.changed.notify_all();
-    }
-}
-
-impl From<LogError> for Halt {
-    fn from(error: LogError) -> Self {
-        Self::Log(error)
-    }
-}
-
-/// Opens the scene's log, proves that it takes writes, and replays it.
-pub(super) fn reopen(scene: &Scene) -> Result<Live, Halt> {
-    let ended = || scene.inbox.ended().is_some();
-    let _pass = scene.setup.gate.enter(ended).ok_or(Halt::Ended)?;
-    inject(scene, FaultStep::Open)?;
-    let (mut log, notices) =
-        SceneLog::open(&scene.setup.config.disk, &scene.directory, keep(scene))?;
-    for notice in &notices {
-        tracing::warn!(scene = scene.name().as_str(), "{notice}");
-    }
-    scene.keep_notices(notices);
-    log.probe()?;
-    scene.set_permille(0);
-    scene.set_condition(Condition::Recovering);
-    let start = Instant::now();
-    let live = revive(scene, log)?;
-    let published = live.published();
-    meters::recovered(start.elapsed());
-    tracing::info!(
-        scene = scene.name().as_str(),
-        seq = published.seq.0,
-        cubes = published.totals.cubes,
-        milliseconds = start.elapsed().as_millis(),
-        "recovered"
-    );
-    Ok(live)
-}
-
-/// Limits of what the scene's log keeps.
-pub(super) fn keep(scene: &Scene) -> Keep {
-    Keep {
-        snapshot_log_bytes_min: scene.setup.config.snapshot_log_bytes_min,
-        history_changes_max: scene.setup.config.history_changes_max,
-        idempotency_keys_max: scene.setup.config.idempotency_keys_max,
-        revert_changes_max: scene.setup.config.revert_changes_max,
-        revert_bytes_max: scene.setup.config.revert_bytes_max,
-    }
-}
-
-/// Replays an open log.
-pub(super) fn revive(scene: &Scene, mut log: SceneLog) -> Result<Live, Halt> {
-    if !scene.keep_header(log.header()) {
-        let detail = "another scene's files were put here while it was stopped".to_owned();
-        let path = scene.directory.clone();
-        return Err(LogError::Foreign { path, detail }.into());
-    }
-    let rebuilt = rebuild(
-        &mut log,
-        &scene.directory,
-        Compare::Some,
-        |permille| scene.set_permille(permille),
-        || scene.inbox.ended().is_some(),
-    )?;
-    let history = log.history()?;
-    let created_ms = log.created_ms();
-    let mut published = rebuilt.published();
-    if published.seq == Seq(0) {
-        published.at_ms = created_ms;
-    }
-    Ok(Live::new(
-        log,
-        &published,
-        rebuilt.next_id,
-        scene.setup.config.scene_cubes_max,
-        Feed::new(rebuilt.engine, &published, history),
-    ))
-}
-
-/// Rebuilds the state that a log leads to, comparing totals on the way; gives up when `ended` says so.
+/// Rebuilds the state that a log leads to, comparing totals on the way; none when `ended` says so on the way.
 pub(super) fn rebuild(
     log: &mut SceneLog,
     directory: &Path,
     compare: Compare,
     mut progress: impl FnMut(u32),
     ended: impl Fn() -> bool,
-) -> Result<Rebuilt, Halt> {
+) -> Result<Option<Rebuilt>, LogError> {
     let steps = i64::from(log.header().edge_steps);
     let edge = Edge::new(steps).map_err(|invalid| LogError::Foreign {
         path: directory.to_owned(),
@@ -199,27 +67,16 @@ pub(super) fn rebuild(
         fits
     });
     if has_ended {
-        return Err(Halt::Ended);
+        return Ok(None);
     }
-    fits = fits && (result.is_err() || rebuilt.settle());
+    fits = fits && (result.is_err() || rebuilt.flush());
     if !fits && compare == Compare::Some {
         let path = directory.display();
         tracing::warn!(%path, "totals differ from those recorded: all of them are compared now");
         return rebuild(log, directory, Compare::Every, progress, ended);
     }
     result?;
-    Ok(rebuilt)
-}
-
-/// The id after the greatest one inserted so far; 0 when there is none left.
-pub(super) fn next_id_after(next_id: u64, inserted: CubeId) -> u64 {
-    if next_id == 0 {
-        return 0;
-    }
-    match inserted.0.checked_add(1) {
-        Some(next) => next.max(next_id),
-        None => 0,
-    }
+    Ok(Some(rebuilt))
 }
 
 impl Rebuilt {
@@ -228,7 +85,7 @@ impl Rebuilt {
             engine,
             seq: Seq(0),
             at_ms: 0,
-            next_id: 1,
+            next_id: NextId::FIRST,
             compare,
             waiting: Effect::default(),
             inserted: None,
@@ -252,16 +109,17 @@ impl Rebuilt {
                 self.engine.reserve(cubes);
                 true
             }
-            Replayed::Cubes(cubes) => self.take(&[], cubes, None),
+            Replayed::Cubes(cubes) => self.add(&[], cubes, None),
             Replayed::SnapshotEnd {
                 seq,
                 at_ms,
                 totals,
                 next_id,
             } => {
-                (self.seq, self.at_ms, self.next_id) = (seq, at_ms, next_id);
+                (self.seq, self.at_ms) = (seq, at_ms);
+                self.next_id = NextId::of_record(next_id);
                 self.expected = Some(*totals);
-                self.settle()
+                self.flush()
             }
             Replayed::Change(record) => {
                 if record.seq.0 != self.seq.0 + 1 {
@@ -270,15 +128,15 @@ impl Rebuilt {
                 (self.seq, self.at_ms) = (record.seq, record.at_ms);
                 let Effect { deleted, inserted } = &record.effect;
                 for &(id, _) in inserted {
-                    self.next_id = next_id_after(self.next_id, id);
+                    self.next_id.pass(id);
                 }
-                self.take(deleted, inserted, Some(&record.totals))
+                self.add(deleted, inserted, Some(&record.totals))
             }
         }
     }
 
-    /// Takes some cubes, which lead to totals if these are recorded; now or later.
-    fn take(
+    /// Adds what deletions and insertions do, which lead to totals if these are recorded; now or later.
+    fn add(
         &mut self,
         deleted: &[(CubeId, Place)],
         inserted: &[(CubeId, Place)],
@@ -299,7 +157,7 @@ impl Rebuilt {
         self.waiting.inserted.extend_from_slice(inserted);
         self.expected = totals.copied();
         let waiting = self.waiting.deleted.len() + self.waiting.inserted.len();
-        waiting < self.compare.waiting_max() || self.settle()
+        waiting < self.compare.waiting_max() || self.flush()
     }
 
     /// Takes an insertion back that waits, and says where it was to be: an effect deletes first, so a later deletion of the cube
@@ -321,8 +179,8 @@ impl Rebuilt {
         Some(place)
     }
 
-    /// Takes what waits; false when it does not fit, or does not lead to the totals that were recorded.
-    fn settle(&mut self) -> bool {
+    /// Applies what waits; false when it does not fit, or does not lead to the totals that were recorded.
+    fn flush(&mut self) -> bool {
         let fits = self.engine.apply(&self.waiting).is_ok();
         self.waiting.deleted.clear();
         self.waiting.inserted.clear();
@@ -376,7 +234,7 @@ mod tests {
                 seq: Seq(seq),
                 at_ms: seq,
                 effect,
-                back_to: None,
+                reverts_to: None,
                 motion: Motion::default(),
                 volume_removed: 0,
                 totals: engine.totals(),
@@ -384,10 +242,10 @@ mod tests {
             assert!(together.visit(&Replayed::Change(&record)));
             assert!(apart.visit(&Replayed::Change(&record)));
             if below(40) == 0 {
-                assert!(together.settle(), "seq {seq}");
+                assert!(together.flush(), "seq {seq}");
             }
         }
-        assert!(together.settle());
+        assert!(together.flush());
         for rebuilt in [together, apart] {
             let cubes: BTreeMap<_, _> = rebuilt.engine.cubes().collect();
             assert_eq!(cubes, live);

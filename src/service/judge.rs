@@ -1,0 +1,102 @@
+//! Judging a change: what it does to the set of cubes, or why it is refused. Nothing changes here.
+
+use super::next_id::{IdRange, NextId};
+use super::{Counting, Operations, Seq, ServiceError, meters, revert};
+use crate::engine::{Counts, Engine, Op};
+use crate::geometry::{CubeId, Effect};
+use crate::log::{LogError, SceneLog};
+
+/// What a change is judged against: the state after all that was accepted before it.
+pub(super) struct Bench<'a> {
+    pub(super) engine: &'a Engine,
+    /// Seq of the engine. For a revert, of the log too.
+    pub(super) newest: Seq,
+    pub(super) log: &'a SceneLog,
+    pub(super) next_id: NextId,
+    /// Most cubes of the scene.
+    pub(super) cubes_max: u64,
+}
+
+/// A change that can be applied.
+pub(super) struct Accepted {
+    pub(super) effect: Effect,
+    /// What its operations did, counted as its client wants it.
+    pub(super) counts: Counts,
+    /// The same by net effect.
+    pub(super) net: Counts,
+    /// Ids that the server gave: used up only when the change is applied.
+    pub(super) assigned: Option<IdRange>,
+    /// The seq whose cubes it brings back.
+    pub(super) reverts_to: Option<Seq>,
+}
+
+/// Why a change is not applied.
+pub(super) enum Unfit {
+    /// It is refused: its client is told.
+    Refused(ServiceError),
+    /// The log could not be read: the scene stops.
+    Unread(LogError),
+}
+
+impl<E: Into<ServiceError>> From<E> for Unfit {
+    fn from(refusal: E) -> Self {
+        Self::Refused(refusal.into())
+    }
+}
+
+impl Bench<'_> {
+    /// Judges a change. O(operations); a revert, O(operations that tell its state and the newest one apart).
+    pub(super) fn judge(
+        &self,
+        operations: Operations,
+        counting: Counting,
+    ) -> Result<Accepted, Unfit> {
+        let (ops, assigned) = match operations {
+            Operations::Named(ops) => (ops, None),
+            Operations::Numbered { delete, insert } => {
+                let wanted = insert.len() as u64;
+                let assigned = match wanted {
+                    0 => None,
+                    _ => Some(
+                        self.next_id
+                            .range(wanted)
+                            .ok_or(ServiceError::IdsExhausted { wanted })?,
+                    ),
+                };
+                let ids = assigned.map_or(0..=0, |(first, last)| first.0..=last.0);
+                let insert = ids
+                    .zip(insert)
+                    .map(|(id, place)| Op::Insert(CubeId(id), place));
+                let delete = delete.into_iter().map(Op::Delete);
+                (delete.chain(insert).collect(), assigned)
+            }
+            Operations::Revert(to) => {
+                let effect = revert::effect(self.engine, self.log, self.newest, to)?;
+                let net = Counts {
+                    inserted: effect.inserted.len() as u64,
+                    deleted: effect.deleted.len() as u64,
+                    unchanged: 0,
+                };
+                return Ok(Accepted {
+                    effect,
+                    counts: net,
+                    net,
+                    assigned: None,
+                    reverts_to: Some(to),
+                });
+            }
+        };
+        let judged = self.engine.judge(&ops, self.cubes_max);
+        let judged = judged.inspect_err(|_| meters::refused())?;
+        Ok(Accepted {
+            effect: judged.effect,
+            counts: match counting {
+                Counting::Net => judged.net,
+                Counting::InOrder => judged.in_order,
+            },
+            net: judged.net,
+            assigned,
+            reverts_to: None,
+        })
+    }
+}

@@ -1,0 +1,178 @@
+//! What is done for a log between two groups of changes, a little at a time: a snapshot, then dropping what it makes superfluous.
+//!
+//! ```text
+//!   rest ──log is long──► snapshot: begin, a chunk, a chunk, ..., finish ──► trim: a slice, a slice, ... ──► rest
+//! ```
+//! A snapshot is of the seq it was begun at. Its chunks are read from the listing of the engine, each after the last one's cursor, while
+//! changes go on in between: where these found the cubes that are yet to come is kept, and takes the place of what the engine has.
+//! The order of the listing depends on the ids alone, so a cursor stays true whatever becomes of the table.
+
+use std::time::Instant;
+
+use super::before::{Before, touched};
+use super::next_id::NextId;
+use super::set::CubeSet;
+use super::{Published, meters};
+use crate::engine::{Access, Cursor, Engine};
+use crate::geometry::{CubeId, Effect, Place};
+use crate::log::{LogError, SceneLog};
+
+/// Cubes that one step of a snapshot reads and writes: a few milliseconds between two groups.
+const SNAPSHOT_STEP_CUBES: usize = 65_536;
+
+/// What is being done.
+pub(super) enum Upkeep {
+    /// Nothing, until the log wants something (and not before the time, if any).
+    Rest(Option<Instant>),
+    /// A snapshot is being written.
+    Snapshot(Copying),
+    /// What the snapshot made superfluous is being dropped.
+    Trim,
+}
+
+/// A set of cubes that is read as of one moment, some at a time, while it changes.
+#[derive(Default)]
+pub(super) struct Copying {
+    /// The last cube read.
+    after: Option<Cursor>,
+    /// Where the cubes that have changed since were, as far as they come later.
+    before: Before,
+}
+
+impl Copying {
+    /// Takes note of a change that has been made to the set.
+    fn note(&mut self, effect: &Effect) {
+        // In the order of the listing, neighbours in the tree come one after the other.
+        for cube in touched(effect, self.after) {
+            self.before.note(cube);
+        }
+    }
+
+    /// The next cubes, at most so many; none at the end. Nothing that is not durable may be in the engine. O(cubes asked for, and cubes
+    /// on their way that were inserted since).
+    fn next(&mut self, engine: &Engine, cubes_max: usize) -> Vec<(CubeId, Place)> {
+        let mut cubes = Vec::new();
+        for (cursor, cube) in self.before.listing(engine, self.after).take(cubes_max) {
+            cubes.extend(cube);
+            self.after = Some(cursor);
+        }
+        cubes
+    }
+}
+
+impl Upkeep {
+    /// Whether there is something to do while nobody asks.
+    pub(super) fn waits(&self, log: &SceneLog, set: &CubeSet) -> bool {
+        match self {
+            Self::Rest(after) => {
+                after.is_none_or(|after| Instant::now() >= after)
+                    && (log.wants_snapshot(set.len()) || log.wants_trim())
+            }
+            Self::Snapshot(_) | Self::Trim => true,
+        }
+    }
+
+    /// Takes note of a change that is durable now.
+    pub(super) fn note(&mut self, effect: &Effect) {
+        if let Self::Snapshot(copying) = self {
+            copying.note(effect);
+        }
+    }
+
+    /// One step, short enough that changes hardly wait for it. The set is at its durable state.
+    pub(super) fn step(
+        &mut self,
+        log: &mut SceneLog,
+        set: &CubeSet,
+        published: &Published,
+        next_id: NextId,
+    ) -> Result<(), LogError> {
+        match self {
+            Self::Rest(_) if log.wants_snapshot(set.len()) => {
+                log.snapshot_begin(published.at_ms, &published.totals, next_id.recorded())?;
+                *self = Self::Snapshot(Copying::default());
+            }
+            Self::Rest(_) => *self = Self::Trim,
+            Self::Snapshot(copying) => {
+                let before = copying.after;
+                let cubes = set.look(|engine| copying.next(engine, SNAPSHOT_STEP_CUBES));
+                if copying.after == before {
+                    log.snapshot_finish()?;
+                    meters::snapshot_written();
+                    *self = Self::Trim;
+                } else {
+                    log.snapshot_add(&cubes)?;
+                }
+            }
+            Self::Trim => {
+                if !log.trim()? {
+                    *self = Self::Rest(None);
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use super::*;
+    use crate::geometry::Edge;
+
+    /// Whatever changes between two steps (cubes come, go, move, and the table grows and shrinks): what is read is the set as it was at
+    /// the first one, and no step reads more than it may.
+    #[test]
+    fn a_set_is_read_as_of_one_moment_while_it_changes() {
+        let edge = Edge::new(4).unwrap();
+        for seed in 1..40_u64 {
+            println!("seed {seed}");
+            let mut random = seed;
+            let mut below = |end: u64| {
+                random ^= random << 13;
+                random ^= random >> 7;
+                random ^= random << 17;
+                random % end
+            };
+            let mut engine = Engine::new(edge);
+            let mut change = |engine: &mut Engine, spread: u64, cubes: u64| {
+                let mut effect = Effect::default();
+                let mut named = BTreeMap::new();
+                for _ in 0..below(cubes) {
+                    let corner = [(); 3].map(|()| i64::try_from(below(30)).unwrap());
+                    let place = Place::new(corner, edge).unwrap();
+                    named.insert(CubeId(below(spread)), (below(2) == 0).then_some(place));
+                }
+                for (id, place) in named {
+                    effect
+                        .deleted
+                        .extend(engine.get(id).map(|there| (id, there)));
+                    effect.inserted.extend(place.map(|place| (id, place)));
+                }
+                engine.apply(&effect).unwrap();
+                effect
+            };
+            for _ in 0..5 {
+                change(&mut engine, 400, 300);
+            }
+            let expected: Vec<_> = engine.cubes().collect();
+            let mut copying = Copying::default();
+            let mut copied = Vec::new();
+            let step = [1, 7, 64][usize::try_from(seed % 3).unwrap()];
+            loop {
+                let after = copying.after;
+                let cubes = copying.next(&engine, step);
+                assert!(cubes.len() <= step);
+                copied.extend(cubes);
+                if copying.after == after {
+                    break;
+                }
+                let spread = [400, 4000][usize::try_from(seed % 2).unwrap()];
+                let effect = change(&mut engine, spread, 40);
+                copying.note(&effect);
+            }
+            assert_eq!(copied, expected);
+        }
+    }
+}
