@@ -367,7 +367,7 @@ impl<'a> Client<'a> {
             seq: published.seq,
             at_ms: published.at_ms,
             effect,
-            back_to: None,
+            reverts_to: None,
             motion: Motion::default(),
             volume_removed: 0,
             totals: published.totals,
