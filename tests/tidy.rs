@@ -18,6 +18,14 @@ const MAY_NAME: [(&str, &[&str]); 7] = [
 /// Modules in which a float would be a mistake.
 const INTEGERS_ONLY: [&str; 4] = ["geometry", "engine", "log", "service"];
 
+/// The rooms of these modules that hold floats: they certify signs and roundings of exact integers, with the proof beside them.
+const ROOMS_OF_FLOATS: [&str; 4] = [
+    "src/engine/solids/certify.rs",
+    "src/engine/solids/double.rs",
+    "src/engine/solids/lanes.rs",
+    "src/engine/solids/ledger.rs",
+];
+
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
@@ -106,13 +114,14 @@ fn imports_point_one_way() {
 fn the_core_has_no_floats_and_no_async() {
     for module in INTEGERS_ONLY {
         for path in sources(module) {
+            let holds_floats = ROOMS_OF_FLOATS.iter().any(|room| path == root().join(room));
             for (number, line) in code(&path) {
                 let words: Vec<&str> = line
                     .split(|letter: char| !letter.is_alphanumeric() && letter != '_')
                     .collect();
                 for float in ["f32", "f64"] {
                     assert!(
-                        !words.contains(&float),
+                        holds_floats || !words.contains(&float),
                         "{}:{number}: a float in {module}: {line}",
                         path.display()
                     );

@@ -30,6 +30,7 @@ mod neighbours;
 mod parallel;
 mod prefetch;
 mod scan;
+pub mod solids;
 
 use std::cell::RefCell;
 use std::num::NonZero;

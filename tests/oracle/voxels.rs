@@ -16,26 +16,23 @@ pub(crate) fn totals(edge: Edge, stock: Option<Stock>, places: &[Place]) -> Tota
         .collect();
     let bounds = around(boxes.iter().copied());
     let union = |voxel: [i32; 3]| boxes.iter().any(|cube| holds(cube, voxel));
-    let measures = |bounds: Option<Bounds>, solid: &dyn Fn([i32; 3]) -> bool| match bounds {
-        Some(bounds) => World::new(bounds, solid).measures(),
-        None => Measures::default(),
-    };
     Totals {
         cubes: places.len() as u64,
-        measures: measures(bounds, &union),
+        measures: bounds.map_or(Measures::default(), |bounds| measures(bounds, &union)),
         bounds,
         stock: stock.map(|stock| {
             let material = stock.bounds();
             StockMeasures {
-                removed: measures(Some(material), &|voxel| {
-                    holds(&material, voxel) && union(voxel)
-                }),
-                remaining: measures(Some(material), &|voxel| {
-                    holds(&material, voxel) && !union(voxel)
-                }),
+                removed: measures(material, &|voxel| holds(&material, voxel) && union(voxel)),
+                remaining: measures(material, &|voxel| holds(&material, voxel) && !union(voxel)),
             }
         }),
     }
+}
+
+/// The measures of a set of voxels within a box.
+pub(crate) fn measures(bounds: Bounds, solid: &dyn Fn([i32; 3]) -> bool) -> Measures {
+    World::new(bounds, solid).measures()
 }
 
 /// The box around boxes; none around none.

@@ -1,0 +1,228 @@
+//! The part of a segment that lies in a convex piece.
+//!
+//! Knows one line and one piece at a time. Signs come from the filter or, where it is unsure, from exact integers; positions are only rough.
+
+use smallvec::SmallVec;
+
+use super::certify::{self, Near, Value, Way};
+use super::exact::{self, Homogeneous};
+use super::lanes::{Verdict, separate};
+use super::piece::{Face, Piece, Position};
+
+/// Where a vertex of the union is, exactly.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Place<'a> {
+    /// At a lattice point.
+    Lattice([i32; 3]),
+    /// Where three planes meet in one point.
+    Meeting([&'a Face; 3]),
+}
+
+/// A point on a line: exact and rough.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Vertex<'a> {
+    pub(super) near: Near,
+    pub(super) place: Place<'a>,
+}
+
+impl<'a> Vertex<'a> {
+    /// A vertex of a piece.
+    #[inline]
+    pub(super) fn of(piece: &'a Piece, vertex: u16) -> Self {
+        let corner = &piece.corners[usize::from(vertex)];
+        let place = match corner.position {
+            Position::Lattice(point) => Place::Lattice(point),
+            Position::Meeting(faces) => Place::Meeting(faces.map(|face| piece.face(face))),
+        };
+        Self {
+            near: corner.near,
+            place,
+        }
+    }
+
+    /// Exactly where it is.
+    pub(super) fn homogeneous(&self) -> Homogeneous {
+        match self.place {
+            Place::Lattice(point) => Homogeneous::lattice(point),
+            Place::Meeting(faces) => Homogeneous::meeting(faces.map(|face| &face.plane)),
+        }
+    }
+}
+
+/// How signs are found.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum Arithmetic {
+    /// By the filter, and exactly where it is unsure.
+    Filtered,
+    /// Always exactly: the twin that the filter is compared with.
+    Exact,
+}
+
+/// On which side of a face a vertex lies: -1 inside, 0 on it, 1 outside; and the rough value.
+#[inline]
+pub(super) fn side(arithmetic: Arithmetic, face: &Face, vertex: &Vertex) -> (i32, Value) {
+    let value = face.rough.value(&vertex.near.at);
+    if arithmetic == Arithmetic::Filtered
+        && let Some(sign) = certify::certain(value, face.rough.bound(vertex.near.slack))
+    {
+        #[cfg(feature = "paranoid")]
+        assert_eq!(sign, exact_side(face, vertex), "the filter's bound holds");
+        return (sign, value);
+    }
+    (exact_side(face, vertex), value)
+}
+
+/// The same from exact integers.
+pub(super) fn exact_side(face: &Face, vertex: &Vertex) -> i32 {
+    match vertex.place {
+        Place::Lattice(point) => exact::side_of_lattice(&face.plane, point),
+        Place::Meeting(faces) => exact::side_of_meeting(&face.plane, faces.map(|face| &face.plane)),
+    }
+}
+
+/// A directed line, held by two planes.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Line<'a> {
+    pub(super) faces: [&'a Face; 2],
+    /// Along it, of any length.
+    pub(super) direction: [i128; 3],
+    way: Way,
+}
+
+impl<'a> Line<'a> {
+    pub(super) fn new(faces: [&'a Face; 2], direction: [i128; 3]) -> Self {
+        Self {
+            faces,
+            direction,
+            way: Way::of(direction),
+        }
+    }
+
+    /// On which side of `face` the ray of `of` lies that is to the left of the line, seen from outside `of`: the sign of
+    /// `face.n . (of.n x direction)`. Both planes hold the line.
+    pub(super) fn turn(&self, arithmetic: Arithmetic, face: &Face, of: &Face) -> i32 {
+        if face.parallel(of) {
+            return 0;
+        }
+        if arithmetic == Arithmetic::Filtered
+            && let Some(sign) = face.rough.turn(&of.rough, &self.way)
+        {
+            #[cfg(feature = "paranoid")]
+            assert_eq!(
+                sign,
+                exact::turn(&face.plane, &of.plane, self.direction),
+                "the filter's bound holds"
+            );
+            return sign;
+        }
+        exact::turn(&face.plane, &of.plane, self.direction)
+    }
+
+    /// The point between two of the line where it crosses a face; `values` are rough ones at the two.
+    #[inline]
+    pub(super) fn cut(
+        &self,
+        face: &'a Face,
+        ends: [&Vertex<'a>; 2],
+        values: [Value; 2],
+    ) -> Vertex<'a> {
+        Vertex {
+            near: Near::crossing([&ends[0].near, &ends[1].near], &face.rough, values),
+            place: Place::Meeting([self.faces[0], self.faces[1], face]),
+        }
+    }
+}
+
+/// The part of a segment in a closed piece, where it is more than a point.
+pub(super) struct Inside<'a> {
+    /// Where the part begins, unless the segment begins inside.
+    pub(super) enters: Option<Vertex<'a>>,
+    /// Where the part ends, unless the segment ends inside.
+    pub(super) leaves: Option<Vertex<'a>>,
+    /// Facets of the piece that hold the line: none inside, one in a facet, two along an edge.
+    pub(super) facets: SmallVec<[u16; 2]>,
+}
+
+/// Clips a segment to a piece; none when they have at most a point in common. `first` is the block of planes to begin with,
+/// and becomes one that separated. O(facets).
+pub(super) fn clip<'a>(
+    arithmetic: Arithmetic,
+    piece: &'a Piece,
+    line: &Line<'a>,
+    ends: [&Vertex<'a>; 2],
+    first: &mut u16,
+    near: &mut Vec<u16>,
+) -> Option<Inside<'a>> {
+    if arithmetic == Arithmetic::Filtered {
+        let points = [&ends[0].near, &ends[1].near];
+        let verdict = separate(&piece.blocks, points, usize::from(*first), near);
+        #[cfg(feature = "paranoid")]
+        check_verdict(piece, ends, verdict, near);
+        if let Verdict::Apart(block) = verdict {
+            *first = u16::try_from(block).expect("a piece has fewer than 2^16 facets");
+            return None;
+        }
+    } else {
+        near.clear();
+        near.extend(
+            (0..piece.faces.len())
+                .map(|facet| u16::try_from(facet).expect("fewer than 2^16 facets")),
+        );
+    }
+    let [mut tail, mut head] = [*ends[0], *ends[1]];
+    let (mut enters, mut leaves) = (None, None);
+    let mut facets = SmallVec::new();
+    for &facet in near.iter() {
+        let face = piece.face(facet);
+        let (at_tail, tail_value) = side(arithmetic, face, &tail);
+        let (at_head, head_value) = side(arithmetic, face, &head);
+        let values = [tail_value, head_value];
+        if at_tail >= 0 && at_head >= 0 {
+            if at_tail == 0 && at_head == 0 {
+                facets.push(facet);
+            } else {
+                return None;
+            }
+        } else if at_tail > 0 {
+            tail = line.cut(face, [&tail, &head], values);
+            enters = Some(tail);
+        } else if at_head > 0 {
+            head = line.cut(face, [&tail, &head], values);
+            leaves = Some(head);
+        }
+    }
+    assert!(
+        facets.len() <= 2,
+        "at most two facets of a convex piece hold a line"
+    );
+    Some(Inside {
+        enters,
+        leaves,
+        facets,
+    })
+}
+
+/// Compares what the filter says with exact signs.
+#[cfg(feature = "paranoid")]
+fn check_verdict(piece: &Piece, ends: [&Vertex; 2], verdict: Verdict, near: &[u16]) {
+    let sides = |facet: &Face| ends.map(|end| exact_side(facet, end));
+    match verdict {
+        Verdict::Apart(block) => {
+            let planes = piece.faces.chunks(super::lanes::LANES).nth(block);
+            let planes = planes.expect("it is one of the blocks");
+            assert!(
+                planes.iter().any(|face| sides(face) == [1, 1]),
+                "a plane separates"
+            );
+        }
+        Verdict::Undecided => {
+            for (facet, face) in piece.faces.iter().enumerate() {
+                let listed = near.iter().any(|one| usize::from(*one) == facet);
+                assert!(
+                    listed || sides(face) == [-1, -1],
+                    "what is not listed has both inside"
+                );
+            }
+        }
+    }
+}

@@ -1,0 +1,123 @@
+//! Which edges and facets of a piece can still matter, and which other piece stands witness that the rest cannot.
+//!
+//! A *witness* of an edge or a facet is one other piece that dominates it whole: nothing of it is an edge, or bounds a crossing, that the
+//! union would not get from the witness too. Features without a witness are *live*: only they are candidates of the kernel. Witnesses save
+//! time and never change a result.
+
+/// The witnesses of one piece's features, each by its place in a short list.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Features {
+    /// For each edge, then for each facet: 0, or one more than the place of its witness.
+    marks: Box<[u8]>,
+    edges: u16,
+    /// The witnesses, by their slots; 0-length when there are none. A slot that is no longer used is free.
+    witnesses: Vec<u32>,
+}
+
+/// A place of `witnesses` that is not used.
+const FREE: u32 = u32::MAX;
+
+impl Features {
+    /// All live.
+    pub(super) fn live(edges: usize, facets: usize) -> Self {
+        Self {
+            marks: vec![0; edges + facets].into_boxed_slice(),
+            edges: u16::try_from(edges).expect("a solid has fewer than 2^16 edges"),
+            witnesses: Vec::new(),
+        }
+    }
+
+    fn marks_of_edges(&self) -> &[u8] {
+        &self.marks[..usize::from(self.edges)]
+    }
+
+    fn marks_of_facets(&self) -> &[u8] {
+        &self.marks[usize::from(self.edges)..]
+    }
+
+    /// The edges without a witness.
+    pub(super) fn live_edges(&self) -> impl Iterator<Item = u16> + '_ {
+        live(self.marks_of_edges())
+    }
+
+    /// The facets without a witness.
+    pub(super) fn live_facets(&self) -> impl Iterator<Item = u16> + '_ {
+        live(self.marks_of_facets())
+    }
+
+    pub(super) fn is_edge_live(&self, edge: usize) -> bool {
+        self.marks_of_edges()[edge] == 0
+    }
+
+    pub(super) fn is_facet_live(&self, facet: u16) -> bool {
+        self.marks_of_facets()[usize::from(facet)] == 0
+    }
+
+    /// Whether there is no live feature.
+    pub(super) fn are_all_witnessed(&self) -> bool {
+        self.marks.iter().all(|mark| *mark != 0)
+    }
+
+    /// The mark of a witness; none when the list is full, and then the feature stays live.
+    pub(super) fn mark_of(&mut self, witness: u32) -> Option<u8> {
+        let place = self.witnesses.iter().position(|one| *one == witness);
+        let place = place.or_else(|| {
+            let free = self.witnesses.iter().position(|one| *one == FREE);
+            free.inspect(|place| self.witnesses[*place] = witness)
+        });
+        let place = place.unwrap_or_else(|| {
+            self.witnesses.push(witness);
+            self.witnesses.len() - 1
+        });
+        let mark = u8::try_from(place + 1).ok();
+        if mark.is_none() {
+            self.witnesses.pop();
+        }
+        mark
+    }
+
+    pub(super) fn set_edge(&mut self, edge: u16, mark: u8) {
+        self.marks[usize::from(edge)] = mark;
+    }
+
+    pub(super) fn set_facet(&mut self, facet: u16, mark: u8) {
+        self.marks[usize::from(self.edges) + usize::from(facet)] = mark;
+    }
+
+    /// Makes live what a piece stood witness for. Returns whether there was anything: the edges and the facets.
+    pub(super) fn lose(&mut self, witness: u32, edges: &mut Vec<u16>, facets: &mut Vec<u16>) {
+        edges.clear();
+        facets.clear();
+        let Some(place) = self.witnesses.iter().position(|one| *one == witness) else {
+            return;
+        };
+        self.witnesses[place] = FREE;
+        let lost = u8::try_from(place + 1).expect("only places that have a mark are filled");
+        let edge_count = self.edges;
+        for (feature, mark) in (0_u16..).zip(self.marks.iter_mut()) {
+            if *mark == lost {
+                *mark = 0;
+                if feature < edge_count {
+                    edges.push(feature);
+                } else {
+                    facets.push(feature - edge_count);
+                }
+            }
+        }
+        while self.witnesses.last() == Some(&FREE) {
+            self.witnesses.pop();
+        }
+    }
+
+    /// Bytes that it takes beside itself.
+    pub(super) fn size(&self) -> usize {
+        self.marks.len() + self.witnesses.capacity() * size_of::<u32>()
+    }
+}
+
+fn live(marks: &[u8]) -> impl Iterator<Item = u16> + '_ {
+    let numbered = (0_u16..).zip(marks);
+    numbered
+        .filter(|(_, mark)| **mark == 0)
+        .map(|(feature, _)| feature)
+}

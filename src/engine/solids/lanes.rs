@@ -1,0 +1,264 @@
+//! Four planes or four boxes at once, in floats: the filter's inner loops.
+//!
+//! One of the rooms that hold floats. The same code is compiled twice, for every processor and for those with AVX2 and FMA; both answer the
+//! same signs, because only certain ones count (`certify.rs` has the proof) and the exact ones do not depend on it.
+
+#![expect(
+    clippy::float_arithmetic,
+    reason = "floats certify signs and are never a result"
+)]
+#![expect(
+    clippy::inline_always,
+    reason = "a body is compiled into each of its two callers, with their instructions"
+)]
+
+use super::certify::{GRAIN, Near, Room};
+use super::piece::{Corner, Face};
+
+/// Planes or boxes in a block.
+pub(super) const LANES: usize = 4;
+type Lanes = [f64; LANES];
+
+/// Four planes side by side. Places without a plane hold one that contains everything.
+#[derive(Clone, Copy, Debug)]
+#[repr(align(32))]
+pub(super) struct Block {
+    normal: [Lanes; 3],
+    offset: Lanes,
+    length: Lanes,
+}
+
+impl Block {
+    pub(super) fn of_faces(faces: &[Face]) -> Vec<Self> {
+        let block = |faces: &[Face]| {
+            let mut block = Self {
+                normal: [[0.0; LANES]; 3],
+                offset: [-1.0; LANES],
+                length: [0.0; LANES],
+            };
+            for (lane, face) in faces.iter().enumerate() {
+                for axis in 0..3 {
+                    block.normal[axis][lane] = face.rough.normal[axis];
+                }
+                block.offset[lane] = face.rough.offset;
+                block.length[lane] = face.rough.length;
+            }
+            block
+        };
+        faces.chunks(LANES).map(block).collect()
+    }
+
+    #[inline(always)]
+    fn values(&self, at: &[f64; 3]) -> Lanes {
+        let [x, y, z] = &self.normal;
+        let value = |lane: usize| {
+            x[lane] * at[0] + (y[lane] * at[1] + (z[lane] * at[2] + self.offset[lane]))
+        };
+        [value(0), value(1), value(2), value(3)]
+    }
+}
+
+/// Bits of the lanes where `a > b`.
+#[inline(always)]
+fn greater(a: Lanes, b: Lanes) -> u8 {
+    let bit = |lane: usize| u8::from(a[lane] > b[lane]) << lane;
+    bit(0) | bit(1) | bit(2) | bit(3)
+}
+
+/// Declares a function twice: for any processor, and with AVX2 and FMA, chosen at run time.
+macro_rules! twice {
+    ($(#[$doc:meta])* $visible:vis $name:ident, $wide:ident, $body:ident, ($($argument:ident: $type:ty),*) -> $result:ty) => {
+        $(#[$doc])*
+        #[inline]
+        $visible fn $name($($argument: $type),*) -> $result {
+            #[cfg(target_arch = "x86_64")]
+            {
+                #[target_feature(enable = "avx2,fma")]
+                fn $wide($($argument: $type),*) -> $result {
+                    $body($($argument),*)
+                }
+                if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
+                    // SAFETY: the processor has the instructions.
+                    #[expect(unsafe_code, reason = "the features were detected")]
+                    return unsafe { $wide($($argument),*) };
+                }
+            }
+            $body($($argument),*)
+        }
+    };
+}
+pub(super) use twice;
+
+/// What the planes of a piece certainly do to a segment.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum Verdict {
+    /// A plane of this block has it outside.
+    Apart(usize),
+    /// None is known to; the planes that do not certainly have all of it inside are in the list.
+    Undecided,
+}
+
+twice! {
+    /// Finds a plane that certainly has both points outside, beginning at block `first`. Without one, `near` holds the indices of those that do
+    /// not certainly have both inside.
+    pub(super) separate, separate_wide, separate_body, (blocks: &[Block], points: [&Near; 2], first: usize, near: &mut Vec<u16>) -> Verdict
+}
+
+#[inline(always)]
+fn separate_body(
+    blocks: &[Block],
+    points: [&Near; 2],
+    first: usize,
+    near: &mut Vec<u16>,
+) -> Verdict {
+    near.clear();
+    let slack = points[0].slack.max(points[1].slack) + GRAIN;
+    let mut at = if first < blocks.len() { first } else { 0 };
+    for _ in 0..blocks.len() {
+        let block = &blocks[at];
+        let bound = block.length.map(|length| length * slack);
+        let (a, b) = (block.values(&points[0].at), block.values(&points[1].at));
+        let least =
+            [0, 1, 2, 3].map(|lane: usize| if a[lane] < b[lane] { a[lane] } else { b[lane] });
+        let most =
+            [0, 1, 2, 3].map(|lane: usize| if a[lane] > b[lane] { a[lane] } else { b[lane] });
+        if greater(least, bound) != 0 {
+            return Verdict::Apart(at);
+        }
+        let mut unsure = !greater(bound.map(|bound| -bound), most) & 0b1111;
+        while unsure != 0 {
+            let facet = at * LANES + unsure.trailing_zeros() as usize;
+            near.push(u16::try_from(facet).expect("a piece has fewer than 2^16 facets"));
+            unsure &= unsure - 1;
+        }
+        at += 1;
+        if at == blocks.len() {
+            at = 0;
+        }
+    }
+    Verdict::Undecided
+}
+
+/// Extents along ten diagonals of the axes.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Slabs {
+    min: [f64; DIAGONALS],
+    max: [f64; DIAGONALS],
+}
+
+const DIAGONALS: usize = 10;
+
+impl Slabs {
+    pub(super) fn around(corners: &[Corner]) -> Self {
+        let mut slabs = Self {
+            min: [f64::INFINITY; DIAGONALS],
+            max: [f64::NEG_INFINITY; DIAGONALS],
+        };
+        for Corner { near, .. } in corners {
+            let [x, y, z] = near.at;
+            let along = [
+                x + y,
+                x - y,
+                x + z,
+                x - z,
+                y + z,
+                y - z,
+                x + y + z,
+                x + y - z,
+                x - y + z,
+                x - y - z,
+            ];
+            // Sums of lattice points are exact; others have their slack, and some rounding within a grain.
+            let widen = 3.0 * near.slack;
+            for (diagonal, value) in along.into_iter().enumerate() {
+                slabs.min[diagonal] = slabs.min[diagonal].min(value - widen);
+                slabs.max[diagonal] = slabs.max[diagonal].max(value + widen);
+            }
+        }
+        slabs
+    }
+
+    /// Whether the extents have a gap between them along some diagonal.
+    #[inline]
+    pub(super) fn is_apart(&self, other: &Self) -> bool {
+        let gap = |diagonal: usize| {
+            self.min[diagonal] > other.max[diagonal] || other.min[diagonal] > self.max[diagonal]
+        };
+        (0..DIAGONALS).fold(false, |apart, diagonal| apart | gap(diagonal))
+    }
+}
+
+/// Four boxes side by side. Places without a box hold one that meets nothing.
+#[derive(Clone, Copy, Debug)]
+#[repr(align(32))]
+pub(super) struct Rooms {
+    min: [Lanes; 3],
+    max: [Lanes; 3],
+}
+
+impl Rooms {
+    /// Boxes in blocks of four.
+    pub(super) fn of(rooms: impl Iterator<Item = Room>, blocks: &mut Vec<Self>) {
+        blocks.clear();
+        for (index, room) in rooms.enumerate() {
+            let lane = index % LANES;
+            if lane == 0 {
+                blocks.push(Self {
+                    min: [[f64::INFINITY; LANES]; 3],
+                    max: [[f64::NEG_INFINITY; LANES]; 3],
+                });
+            }
+            let block = blocks.last_mut().expect("one was begun for this lane");
+            for axis in 0..3 {
+                block.min[axis][lane] = room.min[axis];
+                block.max[axis][lane] = room.max[axis];
+            }
+        }
+    }
+}
+
+twice! {
+    /// Lists the boxes that meet `room`, in their order, but for the two excepted.
+    pub(super) meeting, meeting_wide, meeting_body, (blocks: &[Rooms], room: &Room, except: [usize; 2], found: &mut Vec<usize>) -> ()
+}
+
+#[inline(always)]
+fn meeting_body(blocks: &[Rooms], room: &Room, except: [usize; 2], found: &mut Vec<usize>) {
+    found.clear();
+    for (number, block) in blocks.iter().enumerate() {
+        let mut apart = 0;
+        for axis in 0..3 {
+            apart |= greater(block.min[axis], [room.max[axis]; LANES]);
+            apart |= greater([room.min[axis]; LANES], block.max[axis]);
+        }
+        let mut meet = !apart & 0b1111;
+        while meet != 0 {
+            let index = number * LANES + meet.trailing_zeros() as usize;
+            meet &= meet - 1;
+            if !except.contains(&index) {
+                found.push(index);
+            }
+        }
+    }
+}
+
+twice! {
+    /// Whether a plane of the blocks certainly has all the points outside.
+    pub(super) separates, separates_wide, separates_body, (blocks: &[Block], corners: &[Corner], points: &[u16]) -> bool
+}
+
+#[inline(always)]
+fn separates_body(blocks: &[Block], corners: &[Corner], points: &[u16]) -> bool {
+    blocks.iter().any(|block| {
+        let mut outside = 0b1111;
+        for &point in points {
+            let near = &corners[usize::from(point)].near;
+            let bound = block.length.map(|length| length * (near.slack + GRAIN));
+            outside &= greater(block.values(&near.at), bound);
+            if outside == 0 {
+                return false;
+            }
+        }
+        true
+    })
+}

@@ -1,0 +1,544 @@
+//! The exact online engine of solids: a set of bodies, each a union of a few convex polyhedra, whose totals are current after every change.
+//!
+//! Knows convex solids, the kernel and the set. Never knows I/O, async, user units, or in which order bodies came.
+//!
+//! ```text
+//!   judge(ops) ──> Effect ──> apply ──┬─ bodies    by id, in the order of the listing
+//!                                     ├─ slots     every convex part: its state and its witnesses; prepared pieces in bounded memory
+//!                                     ├─ exposed   bins of the parts whose union is the union
+//!                                     ├─ covered   bins of the parts that the exposed ones cover: never neighbours
+//!                                     └─ totals    += or -= marginal(part | its exposed neighbours)
+//! ```
+//!
+//! # Claim: totals are a function of the set alone
+//! Exact: which points are vertices of the union, which edges and facets meet there, every predicate. Rounded, once and half away from zero: the
+//! real number that a flag contributes to a measure. So equal sets have equal totals, to the last unit, whatever the order, the
+//! history, the processor or the number of threads; with all bodies deleted everything is 0. Proof: `ledger.rs` (telescoping of rounded
+//! flags), `certify.rs` (the filter), `double.rs` (arithmetic). Tests named after it: `tests/solids.rs`.
+//!
+//! Floats certify signs and roundings, in rooms of their own: `certify`, `lanes`, `double`, `ledger`. The feature `paranoid` compares
+//! everything that they certify with exact integers. [`Engine::exact`] computes without them.
+//!
+//! # Source
+//! W. R. Franklin, "Analysis of mass properties of the union of millions of polyhedra", 2004: sums over flags, V = -1/6 sum P.T P.N P.B.
+
+#![expect(
+    clippy::many_single_char_names,
+    clippy::similar_names,
+    reason = "points, directions and normals have the letters of the formulas"
+)]
+
+mod bins;
+mod body;
+mod certify;
+mod clip;
+mod double;
+mod exact;
+mod features;
+mod judge;
+mod lanes;
+mod ledger;
+mod lines;
+mod marginal;
+mod measures;
+mod piece;
+mod recount;
+mod sector;
+mod slots;
+mod witnesses;
+
+use std::collections::BTreeMap;
+use std::ops::Bound;
+use std::sync::Arc;
+
+use smallvec::SmallVec;
+
+use crate::geometry::{Bounds, CubeId};
+
+use super::Cursor;
+use bins::Bins;
+pub use body::{Body, InvalidBody, PARTS_MAX, Shape, SolidId};
+use clip::Arithmetic;
+use features::Features;
+pub use judge::{Judged, Op, Rejected};
+use lines::Member;
+use marginal::Kernel;
+use measures::Extents;
+pub use measures::{AREA_UNIT, ErrorMax, LENGTH_UNIT, Measures, Totals, VOLUME_UNIT};
+use piece::Piece;
+pub use recount::{recount, recount_exactly};
+use slots::{Part, Slots, State};
+use witnesses::{Placed, Witnesses};
+
+/// Most bodies of a scene: `2^24`.
+pub const SOLIDS_MAX: u64 = 1 << 24;
+
+/// Bytes of prepared pieces that stay between changes, unless [`Engine::with_prepared`] says otherwise: 256 MiB.
+pub const PREPARED_BYTES: usize = 256 << 20;
+
+/// The difference between two sets of bodies: an id with the same body in both is in neither list. Order: by id's first appearance.
+#[derive(Clone, PartialEq, Eq, Debug, Default)]
+pub struct Effect {
+    /// Bodies that go.
+    pub deleted: Vec<(SolidId, Body)>,
+    /// Bodies that come.
+    pub inserted: Vec<(SolidId, Body)>,
+}
+
+/// An effect does not fit the set it is applied to: an inserted id is present, or a deleted one absent or another body.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, thiserror::Error)]
+#[error("the effect on solid {} does not fit the set of solids", id.0)]
+pub struct Inconsistent {
+    /// The first body at fault.
+    pub id: SolidId,
+}
+
+/// Bytes that an engine takes, without the allocator's own.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct EngineSize {
+    /// Bodies by id, and what is kept for each part.
+    pub solids: usize,
+    /// Parts by place.
+    pub bins: usize,
+    /// Prepared pieces: a cache of bounded size.
+    pub prepared: usize,
+}
+
+/// A body in the set.
+#[derive(Debug)]
+struct Entry {
+    id: SolidId,
+    body: Body,
+    slots: SmallVec<[u32; 2]>,
+}
+
+/// A persistent set of bodies whose totals are always current.
+#[derive(Debug)]
+pub struct Engine {
+    bodies: BTreeMap<Cursor, Entry>,
+    slots: Slots,
+    exposed: Bins,
+    covered: Bins,
+    measures: Measures,
+    extents: Extents,
+    kernel: Kernel,
+    witnesses: Witnesses,
+    arithmetic: Arithmetic,
+    work: Work,
+}
+
+/// Memory that one operation after the other uses.
+#[derive(Debug, Default)]
+struct Work {
+    edges: Vec<u16>,
+    facets: Vec<u16>,
+}
+
+/// A part in the neighbourhood of another.
+struct Neighbour {
+    slot: u32,
+    piece: Arc<Piece>,
+    /// Sum of the distances of the boxes' middles along the axes, twice.
+    distance: u64,
+}
+
+impl Default for Engine {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Engine {
+    /// An empty scene.
+    pub fn new() -> Self {
+        Self::build(Arithmetic::Filtered)
+    }
+
+    /// An empty scene that computes in big integers alone: the same totals, much slower.
+    pub fn exact() -> Self {
+        Self::build(Arithmetic::Exact)
+    }
+
+    fn build(arithmetic: Arithmetic) -> Self {
+        Self {
+            bodies: BTreeMap::new(),
+            slots: Slots::new(PREPARED_BYTES),
+            exposed: Bins::new(),
+            covered: Bins::new(),
+            measures: Measures::default(),
+            extents: Extents::default(),
+            kernel: Kernel::new(arithmetic),
+            witnesses: Witnesses::default(),
+            arithmetic,
+            work: Work::default(),
+        }
+    }
+
+    /// The same with so many bytes for prepared pieces between changes: the same totals, in another time and space.
+    #[must_use]
+    pub fn with_prepared(mut self, bytes: usize) -> Self {
+        self.slots = Slots::new(bytes);
+        self
+    }
+
+    /// Current totals. O(1).
+    pub fn totals(&self) -> Totals {
+        Totals {
+            solids: self.len(),
+            measures: self.measures,
+            bounds: self.extents.bounds(),
+        }
+    }
+
+    /// How far rounding can be off in the totals' measures, at most. It grows with every change, for nobody counts the flags that go,
+    /// and is 0 for an engine that never held a body. O(1).
+    pub fn error_max(&self) -> ErrorMax {
+        self.kernel.error_max()
+    }
+
+    /// Number of bodies. O(1).
+    pub fn len(&self) -> u64 {
+        self.bodies.len() as u64
+    }
+
+    /// Whether there is no body. O(1).
+    pub fn is_empty(&self) -> bool {
+        self.bodies.is_empty()
+    }
+
+    /// How many convex parts are exposed, and how many the others cover. O(1).
+    pub fn parts(&self) -> [usize; 2] {
+        [self.exposed.len(), self.covered.len()]
+    }
+
+    /// Bytes of the set, of the bins and of the prepared pieces. O(bodies).
+    pub fn size(&self) -> EngineSize {
+        let (records, prepared) = self.slots.size();
+        EngineSize {
+            solids: records + self.bodies.len() * size_of::<(Cursor, Entry)>(),
+            bins: self.exposed.size() + self.covered.size(),
+            prepared,
+        }
+    }
+
+    /// The body of this id. O(log bodies).
+    pub fn get(&self, id: SolidId) -> Option<&Body> {
+        self.bodies.get(&cursor(id)).map(|entry| &entry.body)
+    }
+
+    /// All bodies with their ids, in the order of the listing. O(bodies).
+    pub fn solids(&self) -> impl Iterator<Item = (SolidId, &Body)> + '_ {
+        self.solids_after(None)
+    }
+
+    /// The bodies that stand after the cursor in the listing, in its order; all of them without a cursor. The order is fixed by the
+    /// ids alone.
+    pub fn solids_after(
+        &self,
+        after: Option<Cursor>,
+    ) -> impl Iterator<Item = (SolidId, &Body)> + '_ {
+        let from = after.map_or(Bound::Unbounded, Bound::Excluded);
+        let range = self.bodies.range((from, Bound::Unbounded));
+        range.map(|(_, entry)| (entry.id, &entry.body))
+    }
+
+    /// Applies an effect, whole or not at all: deletions first. The only door through which state changes. O(bodies named), each in its
+    /// neighbourhood.
+    /// # Errors
+    /// [`Inconsistent`] when the effect does not fit; then nothing has changed.
+    pub fn apply(&mut self, effect: &Effect) -> Result<(), Inconsistent> {
+        self.check(effect)?;
+        for (id, _) in &effect.deleted {
+            self.delete(*id);
+        }
+        for (id, body) in &effect.inserted {
+            self.insert(*id, body);
+        }
+        Ok(())
+    }
+
+    /// What the totals would be after an effect; nothing changes. It takes as long as applying the effect and taking it back.
+    /// # Errors
+    /// As of [`Engine::apply`].
+    pub fn dry_run(&mut self, effect: &Effect) -> Result<Totals, Inconsistent> {
+        self.apply(effect)?;
+        let totals = self.totals();
+        self.apply(&Effect {
+            deleted: effect.inserted.clone(),
+            inserted: effect.deleted.clone(),
+        })?;
+        Ok(totals)
+    }
+
+    /// Whether an effect fits.
+    fn check(&self, effect: &Effect) -> Result<(), Inconsistent> {
+        let mut ids: BTreeMap<SolidId, bool> = BTreeMap::new();
+        for (id, body) in &effect.deleted {
+            if self.get(*id) != Some(body) || ids.insert(*id, false).is_some() {
+                return Err(Inconsistent { id: *id });
+            }
+        }
+        for (id, _) in &effect.inserted {
+            // An id that comes is absent, or goes first, and comes once.
+            let is_free = match ids.insert(*id, true) {
+                None => self.get(*id).is_none(),
+                Some(came_before) => !came_before,
+            };
+            if !is_free {
+                return Err(Inconsistent { id: *id });
+            }
+        }
+        let inserted = effect.inserted.len() as u64;
+        match effect.inserted.last() {
+            Some((id, _)) if self.len() + inserted > SOLIDS_MAX + effect.deleted.len() as u64 => {
+                Err(Inconsistent { id: *id })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn insert(&mut self, id: SolidId, body: &Body) {
+        let key = cursor(id);
+        let mut slots = SmallVec::new();
+        for index in 0..body.len() {
+            let piece = Arc::new(Piece::of(&body.part(index)));
+            self.extents.insert(piece.bounds());
+            let index = u32::try_from(index).expect("a body has few parts");
+            let part = Part { body: key, index };
+            slots.push(self.slots.insert(part, Arc::clone(&piece)));
+        }
+        let entry = Entry {
+            id,
+            body: body.clone(),
+            slots: slots.clone(),
+        };
+        self.bodies.insert(key, entry);
+        for slot in slots {
+            self.place(slot);
+        }
+        self.slots.tidy();
+    }
+
+    fn delete(&mut self, id: SolidId) {
+        let entry = &self.bodies[&cursor(id)];
+        for slot in entry.slots.clone() {
+            let piece = self.piece(slot);
+            self.extents.remove(piece.bounds());
+            self.displace(slot, &piece);
+            self.slots.remove(slot);
+        }
+        self.bodies.remove(&cursor(id));
+        self.slots.tidy();
+    }
+
+    /// The prepared piece of a slot.
+    fn piece(&mut self, slot: u32) -> Arc<Piece> {
+        let bodies = &self.bodies;
+        self.slots.piece(slot, |part| {
+            let index = usize::try_from(part.index).expect("a body has few parts");
+            Piece::of(&bodies[&part.body].body.part(index))
+        })
+    }
+
+    /// The exposed parts that may touch a piece, nearest first.
+    fn gather(&mut self, piece: &Piece, except: u32) -> Vec<Neighbour> {
+        let bounds = piece.bounds();
+        let mut around = Vec::new();
+        self.exposed.visit(&bounds, |slot, other| {
+            if slot != except {
+                let middle = |bounds: &Bounds, axis: usize| {
+                    i64::from(bounds.min[axis]) + i64::from(bounds.max[axis])
+                };
+                let distance = |axis| middle(&bounds, axis).abs_diff(middle(other, axis));
+                around.push((distance(0) + distance(1) + distance(2), slot));
+            }
+        });
+        around.sort_unstable();
+        let mut neighbours = Vec::with_capacity(around.len());
+        for (distance, slot) in around {
+            let other = self.piece(slot);
+            if !piece.is_apart(&other) {
+                neighbours.push(Neighbour {
+                    slot,
+                    piece: other,
+                    distance,
+                });
+            }
+        }
+        neighbours
+    }
+
+    /// Puts a part that is in no bin among the exposed or the covered ones, and adds what it adds.
+    fn place(&mut self, slot: u32) {
+        let piece = self.piece(slot);
+        let neighbours = self.gather(&piece, slot);
+        let own = Placed {
+            piece: &piece,
+            slot,
+        };
+        let mut features = Features::live(piece.edges.len(), piece.faces.len());
+        for other in &neighbours {
+            if features.are_all_witnessed() {
+                break;
+            }
+            self.testify(own, &mut features, other);
+        }
+        let marginal = self.marginal(own, &features, &neighbours);
+        if !marginal.is_change {
+            let alone = neighbours
+                .iter()
+                .find(|other| other.piece.holds(&piece, self.arithmetic));
+            self.slots
+                .set_state(slot, State::Covered(alone.map(|other| other.slot)));
+            self.covered.insert(slot, piece.bounds());
+            return;
+        }
+        self.measures.add(&marginal.measures);
+        for other in &neighbours {
+            let mut features = std::mem::take(self.slots.features_mut(other.slot));
+            let placed = Placed {
+                piece: &other.piece,
+                slot: other.slot,
+            };
+            let new = Neighbour {
+                slot,
+                piece: Arc::clone(&piece),
+                distance: other.distance,
+            };
+            self.testify(placed, &mut features, &new);
+            *self.slots.features_mut(other.slot) = features;
+        }
+        self.slots.set_state(slot, State::Exposed(features));
+        self.exposed.insert(slot, piece.bounds());
+    }
+
+    /// Takes a part out of its bin, retracts what it adds, and exposes covered parts that are bare without it.
+    fn displace(&mut self, slot: u32, piece: &Arc<Piece>) {
+        let bounds = piece.bounds();
+        if matches!(self.slots.state(slot), State::Covered(_)) {
+            assert!(
+                self.covered.remove(slot, bounds),
+                "a part is in one of the bins"
+            );
+            return;
+        }
+        assert!(
+            self.exposed.remove(slot, bounds),
+            "a part is in one of the bins"
+        );
+        let neighbours = self.gather(piece, slot);
+        for (index, other) in neighbours.iter().enumerate() {
+            self.replace_witness(index, other, &neighbours, slot);
+        }
+        let features = std::mem::take(self.slots.features_mut(slot));
+        let own = Placed { piece, slot };
+        let marginal = self.marginal(own, &features, &neighbours);
+        self.measures.retract(&marginal.measures);
+        self.expose(slot, &bounds);
+    }
+
+    /// Finds other witnesses for what a part stood witness for, of one of its neighbours.
+    fn replace_witness(
+        &mut self,
+        index: usize,
+        of: &Neighbour,
+        neighbours: &[Neighbour],
+        slot: u32,
+    ) {
+        let mut features = std::mem::take(self.slots.features_mut(of.slot));
+        let mut edges = std::mem::take(&mut self.work.edges);
+        let mut facets = std::mem::take(&mut self.work.facets);
+        features.lose(slot, &mut edges, &mut facets);
+        for (at, other) in neighbours.iter().enumerate() {
+            if edges.is_empty() && facets.is_empty() {
+                break;
+            }
+            if at == index {
+                continue;
+            }
+            let [own, other] = [of, other].map(|one| Placed {
+                piece: &one.piece,
+                slot: one.slot,
+            });
+            self.witnesses.testify(
+                self.arithmetic,
+                own,
+                &mut features,
+                (&edges, &facets),
+                other,
+            );
+            edges.retain(|edge| features.is_edge_live(usize::from(*edge)));
+            facets.retain(|facet| features.is_facet_live(*facet));
+        }
+        self.work.edges = edges;
+        self.work.facets = facets;
+        *self.slots.features_mut(of.slot) = features;
+    }
+
+    /// Makes exposed those covered parts that an exposed one, which is gone, covered, and nothing else does.
+    fn expose(&mut self, gone: u32, bounds: &Bounds) {
+        let mut bare = Vec::new();
+        let slots = &self.slots;
+        self.covered.visit(bounds, |slot, bounds| {
+            let is_held =
+                matches!(slots.state(slot), State::Covered(Some(holder)) if *holder != gone);
+            if !is_held {
+                bare.push((slot, *bounds));
+            }
+        });
+        bare.sort_unstable_by_key(|(slot, _)| *slot);
+        for (slot, bounds) in bare {
+            assert!(
+                self.covered.remove(slot, bounds),
+                "a covered part is in its bin"
+            );
+            self.place(slot);
+        }
+    }
+
+    /// Marks the live features of a piece that another dominates.
+    fn testify(&mut self, own: Placed, features: &mut Features, other: &Neighbour) {
+        let mut edges = std::mem::take(&mut self.work.edges);
+        let mut facets = std::mem::take(&mut self.work.facets);
+        edges.clear();
+        facets.clear();
+        edges.extend(features.live_edges());
+        facets.extend(features.live_facets());
+        if !(edges.is_empty() && facets.is_empty()) {
+            let other = Placed {
+                piece: &other.piece,
+                slot: other.slot,
+            };
+            self.witnesses
+                .testify(self.arithmetic, own, features, (&edges, &facets), other);
+        }
+        self.work.edges = edges;
+        self.work.facets = facets;
+    }
+
+    /// What a piece adds to the union of its neighbours.
+    fn marginal(
+        &mut self,
+        own: Placed,
+        features: &Features,
+        neighbours: &[Neighbour],
+    ) -> marginal::Marginal {
+        let mut members = Vec::with_capacity(neighbours.len() + 1);
+        members.push(Member {
+            piece: own.piece,
+            features,
+            slot: own.slot,
+        });
+        members.extend(neighbours.iter().map(|other| Member {
+            piece: &other.piece,
+            features: self.slots.features(other.slot),
+            slot: other.slot,
+        }));
+        self.kernel.marginal(&members)
+    }
+}
+
+/// Where a body stands in the listing.
+fn cursor(id: SolidId) -> Cursor {
+    Cursor::of(CubeId(id.0))
+}

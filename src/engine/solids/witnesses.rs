@@ -1,0 +1,226 @@
+//! Whether one piece dominates a feature of another whole.
+//!
+//! An edge is dominated when it lies in the closed piece, and where that touches it, its wedge there holds the edge's own. A facet is
+//! dominated when it lies in the closed piece and no facet of that has the opposite side of its plane. Of two equal ones the one of lower
+//! slot dominates, of nested ones the larger: so no two dominate each other, not even in a ring.
+
+use smallvec::SmallVec;
+
+use super::clip::{Arithmetic, Vertex, exact_side, side};
+use super::features::Features;
+use super::lanes::{Verdict, separate};
+use super::piece::{Piece, Position};
+
+/// What is known of a vertex.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Vertices {
+    Unknown,
+    Inside,
+    Outside,
+}
+
+/// A piece and its slot.
+#[derive(Clone, Copy)]
+pub(super) struct Placed<'a> {
+    pub(super) piece: &'a Piece,
+    pub(super) slot: u32,
+}
+
+/// Finds witnesses, in memory that it keeps.
+#[derive(Debug, Default)]
+pub(super) struct Witnesses {
+    vertices: Vec<u8>,
+    near: Vec<u16>,
+}
+
+impl Witnesses {
+    /// Marks those of the given edges and facets of a piece that `other` dominates.
+    pub(super) fn testify(
+        &mut self,
+        arithmetic: Arithmetic,
+        own: Placed,
+        features: &mut Features,
+        (edges, facets): (&[u16], &[u16]),
+        other: Placed,
+    ) {
+        let mut court = Court {
+            arithmetic,
+            own,
+            other,
+            vertices: std::mem::take(&mut self.vertices),
+            near: std::mem::take(&mut self.near),
+        };
+        court.vertices.clear();
+        court
+            .vertices
+            .resize(own.piece.corners.len(), Vertices::Unknown as u8);
+        let mut mark = None;
+        for &edge in edges {
+            if court.holds_edge(edge) && court.dominates_edge(edge) {
+                mark = mark.or_else(|| features.mark_of(other.slot));
+                let Some(mark) = mark else { break };
+                features.set_edge(edge, mark);
+            }
+        }
+        for &facet in facets {
+            if court.holds_facet(facet) && court.dominates_facet(facet) {
+                mark = mark.or_else(|| features.mark_of(other.slot));
+                let Some(mark) = mark else { break };
+                features.set_facet(facet, mark);
+            }
+        }
+        self.vertices = court.vertices;
+        self.near = court.near;
+    }
+}
+
+/// One piece's features before another piece.
+struct Court<'a> {
+    arithmetic: Arithmetic,
+    own: Placed<'a>,
+    other: Placed<'a>,
+    vertices: Vec<u8>,
+    near: Vec<u16>,
+}
+
+impl Court<'_> {
+    fn holds_edge(&mut self, edge: u16) -> bool {
+        let edge = self.own.piece.edge(edge);
+        self.holds(edge.tail) && self.holds(edge.head)
+    }
+
+    fn holds_facet(&mut self, facet: u16) -> bool {
+        let own = self.own.piece;
+        own.loop_of(facet).iter().all(|&vertex| self.holds(vertex))
+    }
+
+    /// Whether a vertex lies in the closed other piece.
+    fn holds(&mut self, vertex: u16) -> bool {
+        let known = self.vertices[usize::from(vertex)];
+        if known != Vertices::Unknown as u8 {
+            return known == Vertices::Inside as u8;
+        }
+        let holds = self.find(vertex);
+        let found = if holds {
+            Vertices::Inside
+        } else {
+            Vertices::Outside
+        };
+        self.vertices[usize::from(vertex)] = found as u8;
+        holds
+    }
+
+    fn find(&mut self, vertex: u16) -> bool {
+        let vertex = Vertex::of(self.own.piece, vertex);
+        self.list_near([&vertex, &vertex]) && {
+            let near = std::mem::take(&mut self.near);
+            let other = self.other.piece;
+            let holds = near
+                .iter()
+                .all(|&facet| side(self.arithmetic, other.face(facet), &vertex).0 <= 0);
+            self.near = near;
+            holds
+        }
+    }
+
+    /// Lists the facets of the other piece that may have one of the points not inside; false when one has both outside.
+    fn list_near(&mut self, points: [&Vertex; 2]) -> bool {
+        let other = self.other.piece;
+        if self.arithmetic == Arithmetic::Filtered {
+            let verdict = separate(
+                &other.blocks,
+                points.map(|point| &point.near),
+                0,
+                &mut self.near,
+            );
+            return verdict == Verdict::Undecided;
+        }
+        self.near.clear();
+        let facets = u16::try_from(other.faces.len()).expect("fewer than 2^16 facets");
+        self.near.extend(0..facets);
+        true
+    }
+
+    /// Whether the other piece dominates an edge that lies in it.
+    fn dominates_edge(&mut self, edge: u16) -> bool {
+        let (own, other) = (self.own.piece, self.other.piece);
+        let edge = own.edge(edge);
+        let ends = [edge.tail, edge.head].map(|vertex| Vertex::of(own, vertex));
+        if !self.list_near([&ends[0], &ends[1]]) {
+            return false;
+        }
+        let mut holders: SmallVec<[u16; 2]> = SmallVec::new();
+        let mut same = 0;
+        for &facet in &self.near {
+            let face = other.face(facet);
+            if ends.iter().any(|end| exact_side(face, end) != 0) {
+                continue;
+            }
+            holders.push(facet);
+            for own_facet in [edge.left, edge.right] {
+                if face.same(own.face(own_facet)) {
+                    same += 1;
+                    continue;
+                }
+                // A vertex of the facet off the edge shows on which side the facet lies.
+                let points = own.loop_of(own_facet).iter();
+                let off = points
+                    .copied()
+                    .find(|vertex| ![edge.tail, edge.head].contains(vertex));
+                let off = off.expect("a facet has three vertices");
+                if exact_side(face, &Vertex::of(own, off)) > 0 {
+                    return false;
+                }
+            }
+        }
+        if let [a, b] = holders[..]
+            && same == 2
+        {
+            // The same wedge along an edge that is longer, or equal.
+            let twin = other
+                .edge_between(a, b)
+                .expect("two facets that hold a line in the piece share an edge");
+            let twin = other.edges[twin];
+            let [u, v] = [twin.tail, twin.head].map(|vertex| position(other, vertex));
+            let [p, q] = [edge.tail, edge.head].map(|vertex| position(own, vertex));
+            let is_equal = (u == p && v == q) || (u == q && v == p);
+            return !is_equal || self.other.slot < self.own.slot;
+        }
+        true
+    }
+
+    /// Whether the other piece dominates a facet that lies in it.
+    fn dominates_facet(&mut self, facet: u16) -> bool {
+        let (own, other) = (self.own.piece, self.other.piece);
+        let face = own.face(facet);
+        let points = own.loop_of(facet);
+        let first = Vertex::of(own, points[0]);
+        if !self.list_near([&first, &first]) {
+            return false;
+        }
+        for &near in &self.near {
+            let holder = other.face(near);
+            if holder.opposite(face) {
+                return false;
+            }
+            if holder.same(face) {
+                let theirs = other.loop_of(near);
+                let is_theirs = |vertex: &u16| {
+                    let place = position(own, *vertex);
+                    theirs.iter().any(|one| position(other, *one) == place)
+                };
+                let is_equal = points.len() == theirs.len() && points.iter().all(is_theirs);
+                return !is_equal || self.other.slot < self.own.slot;
+            }
+        }
+        true
+    }
+}
+
+/// Where a vertex is, comparable across pieces; none for one that is no lattice point.
+fn position(piece: &Piece, vertex: u16) -> Option<[i32; 3]> {
+    match piece.corners[usize::from(vertex)].position {
+        Position::Lattice(point) => Some(point),
+        Position::Meeting(_) => None,
+    }
+}

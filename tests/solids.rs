@@ -1,0 +1,513 @@
+//! The engine of solids: boxes against voxels, general bodies against themselves in any order and through any history.
+//!
+//! Small worlds with large bodies, so that ties are the common case. Every random test prints its seed when it fails.
+
+#[path = "oracle/random.rs"]
+mod random;
+#[allow(
+    dead_code,
+    reason = "of the oracle of cubes only the voxels are used here"
+)]
+#[path = "oracle/voxels.rs"]
+mod voxels;
+
+use std::sync::Arc;
+
+use ethnum::I256;
+use random::Random;
+use union3d::engine::solids::{
+    Body, Effect, Engine, Measures, Shape, SolidId, Totals, recount, recount_exactly,
+};
+use union3d::geometry::convex::{Point, Solid};
+use union3d::geometry::{self, Bounds, EdgeKind};
+
+/// Scenes of a random test: few in debug, many where they are fast.
+fn rounds(release: u64) -> u64 {
+    if cfg!(debug_assertions) {
+        release / 20 + 1
+    } else {
+        release
+    }
+}
+
+fn below(random: &mut Random, bound: i64) -> i64 {
+    i64::try_from(random.below(u64::try_from(bound).unwrap())).unwrap()
+}
+
+fn point(coordinates: [i64; 3]) -> Point {
+    Point::new(coordinates).unwrap()
+}
+
+fn hull(points: &[[i64; 3]]) -> Option<Solid> {
+    let points: Vec<Point> = points.iter().copied().map(point).collect();
+    Solid::hull(&points).ok()
+}
+
+fn shuffle<T>(random: &mut Random, items: &mut [T]) {
+    for last in (1..items.len()).rev() {
+        let other = below(random, i64::try_from(last).unwrap() + 1);
+        items.swap(last, usize::try_from(other).unwrap());
+    }
+}
+
+fn insert(engine: &mut Engine, id: usize, body: &Body) {
+    let inserted = vec![(SolidId(id as u64), body.clone())];
+    let deleted = Vec::new();
+    engine.apply(&Effect { deleted, inserted }).unwrap();
+}
+
+fn delete(engine: &mut Engine, id: usize) {
+    let id = SolidId(id as u64);
+    let deleted = vec![(id, engine.get(id).unwrap().clone())];
+    let inserted = Vec::new();
+    engine.apply(&Effect { deleted, inserted }).unwrap();
+}
+
+/// The measures of cubes in the units of those of solids.
+fn in_units(measures: &geometry::Measures) -> Measures {
+    let length = |kind| measures.edge_length_of(kind) * 2 << 20;
+    Measures {
+        volume6: measures.volume * 6 * 16,
+        area2: measures.area() * 2 << 16,
+        // Where solids touch along an edge, each counts it.
+        edge_length2: [
+            length(EdgeKind::Convex),
+            length(EdgeKind::Concave),
+            2 * length(EdgeKind::Crossing),
+        ],
+        first_moments24: measures
+            .first_moments2
+            .map(|moment| I256::from(moment) * I256::from(12 * 16)),
+        second_moments120: {
+            let squares = measures
+                .second_moments3
+                .map(|moment| moment * I256::from(40 * 16));
+            let products = measures
+                .product_moments4
+                .map(|moment| moment * I256::from(30 * 16));
+            [squares, products].concat().try_into().unwrap()
+        },
+    }
+}
+
+/// The measures of a union of boxes, voxel by voxel.
+fn measures_of_boxes(boxes: &[Bounds]) -> Measures {
+    let around = boxes.iter().copied().reduce(|one, other| Bounds {
+        min: std::array::from_fn(|axis| one.min[axis].min(other.min[axis])),
+        max: std::array::from_fn(|axis| one.max[axis].max(other.max[axis])),
+    });
+    let Some(around) = around else {
+        return Measures::default();
+    };
+    let is_filled = |voxel: [i32; 3]| {
+        let holds = |bounds: &Bounds| {
+            (0..3).all(|axis| (bounds.min[axis]..bounds.max[axis]).contains(&voxel[axis]))
+        };
+        boxes.iter().any(holds)
+    };
+    in_units(&voxels::measures(around, &is_filled))
+}
+
+fn body_of_box(bounds: &Bounds) -> Body {
+    let [min, max] = [bounds.min, bounds.max].map(|corner| point(corner.map(i64::from)));
+    Body::cuboid(min, max).unwrap()
+}
+
+fn random_box(random: &mut Random, side: i64) -> Bounds {
+    let (mut min, mut max) = ([0; 3], [0; 3]);
+    for axis in 0..3 {
+        let low = below(random, side);
+        min[axis] = i32::try_from(low).unwrap();
+        max[axis] = i32::try_from(low + 1 + below(random, side - low)).unwrap();
+    }
+    Bounds { min, max }
+}
+
+/// Boxes are the one family for which every measure is known to the integer.
+#[test]
+fn boxes_equal_voxels_to_the_integer() {
+    for seed in 0..rounds(10_000) {
+        let mut random = Random::new(seed);
+        let side = 4 + below(&mut random, 6);
+        let count = 1 + below(&mut random, 9);
+        let mut boxes: Vec<Bounds> = (0..count).map(|_| random_box(&mut random, side)).collect();
+        if below(&mut random, 4) == 0 {
+            boxes.push(boxes[0]);
+        }
+        let mut engine = if seed % 8 == 7 {
+            Engine::exact()
+        } else {
+            Engine::new()
+        };
+        let mut there: Vec<usize> = (0..boxes.len()).collect();
+        shuffle(&mut random, &mut there);
+        for (number, &id) in there.iter().enumerate() {
+            insert(&mut engine, id, &body_of_box(&boxes[id]));
+            let inserted: Vec<Bounds> = there[..=number].iter().map(|id| boxes[*id]).collect();
+            let expected = measures_of_boxes(&inserted);
+            assert_eq!(
+                engine.totals().measures,
+                expected,
+                "seed {seed}: {inserted:?}"
+            );
+        }
+        shuffle(&mut random, &mut there);
+        while let Some(id) = there.pop() {
+            delete(&mut engine, id);
+            let left: Vec<Bounds> = there.iter().map(|id| boxes[*id]).collect();
+            let expected = measures_of_boxes(&left);
+            assert_eq!(
+                engine.totals().measures,
+                expected,
+                "seed {seed}: {left:?} without {id}"
+            );
+        }
+        assert_eq!(engine.totals(), Totals::default(), "seed {seed}");
+    }
+}
+
+/// Inserts bodies in several orders, deletes half and all of them, and compares with recounts.
+fn check_history(random: &mut Random, bodies: &[Body], context: &str) {
+    let mut order: Vec<usize> = (0..bodies.len()).collect();
+    let mut whole = None;
+    for repetition in 0..3 {
+        let mut engine = Engine::new();
+        for (id, &index) in order.iter().enumerate() {
+            // Ids by body or by order: which of two equal ones counts must not matter.
+            insert(
+                &mut engine,
+                if repetition == 0 { index } else { id },
+                &bodies[index],
+            );
+        }
+        let totals = engine.totals();
+        assert_eq!(
+            *whole.get_or_insert(totals),
+            totals,
+            "{context}: order {order:?}"
+        );
+        let mut left: Vec<(usize, usize)> = order.iter().copied().enumerate().collect();
+        if repetition == 0 {
+            left = order.iter().map(|index| (*index, *index)).collect();
+        }
+        shuffle(random, &mut left);
+        for _ in 0..left.len() / 2 {
+            let (id, _) = left.pop().unwrap();
+            delete(&mut engine, id);
+        }
+        let rest = || left.iter().map(|(_, index)| bodies[*index].clone());
+        assert_eq!(
+            engine.totals(),
+            recount(rest()),
+            "{context}: after deletions"
+        );
+        if repetition == 0 {
+            assert_eq!(
+                engine.totals(),
+                recount_exactly(rest()),
+                "{context}: in integers alone"
+            );
+        }
+        for (id, _) in left {
+            delete(&mut engine, id);
+        }
+        assert_eq!(engine.totals(), Totals::default(), "{context}: all deleted");
+        shuffle(random, &mut order);
+    }
+}
+
+fn random_hull(random: &mut Random, count: i64, size: i64, spread: i64) -> Solid {
+    loop {
+        let origin = [0; 3].map(|_: i64| below(random, spread + 1));
+        let points: Vec<[i64; 3]> = (0..count)
+            .map(|_| origin.map(|low| low + below(random, size + 1)))
+            .collect();
+        if let Some(solid) = hull(&points) {
+            return solid;
+        }
+    }
+}
+
+/// A prism over a polygon given in quarters of a turn, so that it is symmetric.
+fn prism(quarter: &[[i64; 2]], low: i64, high: i64) -> Solid {
+    let mut points = Vec::new();
+    for &[x, y] in quarter {
+        for [x, y] in [[x, y], [-y, x], [-x, -y], [y, -x]] {
+            points.extend([[x, y, low], [x, y, high]]);
+        }
+    }
+    hull(&points).unwrap()
+}
+
+fn swept(shape: &Arc<Shape>, from: [i64; 3], to: [i64; 3]) -> Body {
+    Body::swept(shape, point(from), point(to)).unwrap()
+}
+
+fn shape(solid: Solid) -> Arc<Shape> {
+    Arc::new(Shape::new(vec![solid]).unwrap())
+}
+
+/// A ball-nosed cutter: rings that are multiples of one octagon.
+fn ball(size: i64, height: i64) -> Solid {
+    let mut points = Vec::new();
+    for (multiple, z) in [(2, 0), (5, 1), (7, 3), (8, 6)] {
+        for [x, y] in [[3, 1], [1, 3]] {
+            for [x, y] in [[x, y], [-y, x], [-x, -y], [y, -x]] {
+                let ring = [x * multiple * size, y * multiple * size, z * 3 * size];
+                points.push(ring);
+                if multiple == 8 {
+                    points.push([ring[0], ring[1], height * size]);
+                }
+            }
+        }
+    }
+    hull(&points).unwrap()
+}
+
+/// A vee with a tip.
+fn vee(size: i64) -> Solid {
+    let mut points = vec![[0, 0, 0]];
+    for [x, y] in [[1, 1], [-1, 1], [-1, -1], [1, -1]] {
+        points.extend([[x * size, y * size, size], [x * size, y * size, 2 * size]]);
+    }
+    hull(&points).unwrap()
+}
+
+/// Every family of bodies in which something coincides, and two in which nothing does.
+const FAMILIES: usize = 13;
+
+fn family(number: usize, random: &mut Random) -> Vec<Body> {
+    let count = 2 + below(random, 8);
+    let solid = Body::solid;
+    match number {
+        // Hulls on a tiny lattice: mostly degenerate.
+        0 => (0..count)
+            .map(|_| {
+                let points = 5 + below(random, 8);
+                solid(random_hull(random, points, 4, 4))
+            })
+            .collect(),
+        // Hulls in general position.
+        1 => (0..count)
+            .map(|_| {
+                let points = 6 + below(random, 10);
+                solid(random_hull(random, points, 60_000, 60_000))
+            })
+            .collect(),
+        // Passes of a flat mill that continue, cross, turn back and lie in one another.
+        2 => {
+            let tool = shape(prism(&[[3, 1], [1, 3]], 0, 4));
+            path(random, &tool, count + 3, 3)
+        }
+        // Passes of a ball, some ramped.
+        3 => {
+            let tool = shape(ball(4, 40));
+            path(random, &tool, count, 17)
+        }
+        // Copies of one body by lattice shifts, touching and coincident.
+        4 => {
+            let body = random_hull(random, 8, 6, 0);
+            (0..count)
+                .map(|_| {
+                    let by = [
+                        below(random, 4) * 2,
+                        below(random, 4) * 2,
+                        below(random, 3) * 2,
+                    ];
+                    solid(body.displaced(by).unwrap())
+                })
+                .collect()
+        }
+        // General position near the end of the coordinates.
+        5 => (0..count)
+            .map(|_| {
+                let points = 6 + below(random, 8);
+                let far = [1_000_000_007, -1_000_000_009, 1_000_003_000];
+                solid(
+                    random_hull(random, points, 2_000_000, 1_500_000)
+                        .displaced(far)
+                        .unwrap(),
+                )
+            })
+            .collect(),
+        // Cubes turned by integer frames, sharing corners.
+        6 => {
+            let frames = [
+                [[2, 1, 2], [-2, 2, 1], [1, 2, -2]],
+                [[3, 0, 0], [0, 3, 0], [0, 0, 3]],
+                [[1, 2, 2], [2, 1, -2], [2, -2, 1]],
+            ];
+            (0..count)
+                .map(|_| {
+                    let frame: [[i64; 3]; 3] = frames[usize::try_from(below(random, 3)).unwrap()];
+                    let origin = [0; 3].map(|_: i64| below(random, 4));
+                    let corner = |number: i64| {
+                        let mut at = origin;
+                        for (axis, side) in frame.iter().enumerate() {
+                            for (to, along) in at.iter_mut().zip(side) {
+                                *to += along * (number >> axis & 1);
+                            }
+                        }
+                        at
+                    };
+                    solid(hull(&(0..8).map(corner).collect::<Vec<_>>()).unwrap())
+                })
+                .collect()
+        }
+        // Prisms that share an edge, tetrahedra that share a vertex.
+        7 | 8 => fan(random, number == 7, count + 2),
+        // The largest bodies in a corner of the scene, needles and plates among them.
+        9 => (0..count)
+            .map(|_| {
+                loop {
+                    let reach = 1 << 20;
+                    let far = 1 << 30;
+                    let middle = [far - reach, reach - far, far - reach];
+                    let thin = below(random, 3);
+                    let points: Vec<[i64; 3]> = (0..5 + below(random, 7))
+                        .map(|_| {
+                            let mut at = [0; 3].map(|_: i64| below(random, 2 * reach + 1) - reach);
+                            if thin == 1 {
+                                at[2] = at[0] / 2 + below(random, 5) - 2;
+                            }
+                            if thin == 2 {
+                                at[1] = below(random, 3);
+                                at[2] = below(random, 3);
+                            }
+                            [0, 1, 2].map(|axis| at[axis] + middle[axis])
+                        })
+                        .collect();
+                    if let Some(body) = hull(&points) {
+                        break solid(body);
+                    }
+                }
+            })
+            .collect(),
+        // Boxes, in a world that is small for them.
+        10 => (0..count)
+            .map(|_| body_of_box(&random_box(random, 6)))
+            .collect(),
+        // Different tools on one path.
+        11 => {
+            let tools = [
+                shape(prism(&[[3, 1], [1, 3]], 0, 6)),
+                shape(vee(3)),
+                shape(Solid::cuboid(point([-3, -3, 0]), point([3, 3, 6])).unwrap()),
+                shape(ball(1, 30)),
+            ];
+            (0..count)
+                .flat_map(|_| {
+                    let tool = &tools[usize::try_from(below(random, 4)).unwrap()];
+                    path(random, tool, 1, 3)
+                })
+                .collect()
+        }
+        // Bodies of two parts that touch or overlap.
+        _ => {
+            let tool = Arc::new(
+                Shape::new(vec![
+                    prism(&[[2, 2]], 0, 3),
+                    prism(&[[3, 0]], below(random, 5), 5),
+                ])
+                .unwrap(),
+            );
+            path(random, &tool, count, 2)
+        }
+    }
+}
+
+/// Sweeps one after the other.
+fn path(random: &mut Random, tool: &Arc<Shape>, count: i64, step: i64) -> Vec<Body> {
+    let mut at = [0; 3].map(|_: i64| below(random, 3) * step);
+    (0..count)
+        .map(|_| {
+            let mut to = at;
+            match below(random, 7) {
+                0 => to[1] += step,
+                1 => to[1] -= step,
+                2 => to[2] = -below(random, 3) * step,
+                3 => to[0] -= step,
+                4 => {
+                    to = [
+                        to[0] + step,
+                        to[1] + step * (below(random, 3) - 1),
+                        to[2] + below(random, 3) - 1,
+                    ]
+                }
+                _ => to[0] += step * (1 + below(random, 2)),
+            }
+            let body = swept(tool, at, to);
+            at = to;
+            body
+        })
+        .collect()
+}
+
+fn fan(random: &mut Random, is_around_edge: bool, count: i64) -> Vec<Body> {
+    let directions: [[i64; 2]; 16] = [
+        [4, 0],
+        [4, 2],
+        [3, 3],
+        [2, 4],
+        [0, 4],
+        [-2, 4],
+        [-3, 3],
+        [-4, 2],
+        [-4, 0],
+        [-4, -2],
+        [-3, -3],
+        [-2, -4],
+        [0, -4],
+        [2, -4],
+        [3, -3],
+        [4, -2],
+    ];
+    let mut pick = |bound: i64| usize::try_from(below(random, bound)).unwrap();
+    let mut solids = Vec::new();
+    while solids.len() < usize::try_from(count).unwrap() {
+        let first = pick(16);
+        let (a, b) = (directions[first], directions[(first + 1 + pick(7)) % 16]);
+        let low = i64::try_from(pick(3)).unwrap() - 1;
+        let high = low + 1 + i64::try_from(pick(2)).unwrap();
+        let [s, t] = [0, 0].map(|_: i64| 1 + i64::try_from(pick(2)).unwrap());
+        let points = if is_around_edge {
+            let at = |z: i64| {
+                [
+                    [0, 0, 3 * z],
+                    [a[0] * s, a[1] * s, 3 * z],
+                    [b[0] * t, b[1] * t, 3 * z],
+                ]
+            };
+            [at(low), at(high)].concat()
+        } else {
+            let c = directions[pick(16)];
+            vec![
+                [0, 0, 0],
+                [a[0] * s, a[1] * s, 2 * low],
+                [b[0] * t, b[1] * t, 2 * high],
+                [c[0], c[1], 2 * (i64::try_from(pick(5)).unwrap() - 2)],
+            ]
+        };
+        solids.extend(hull(&points).map(Body::solid));
+    }
+    solids
+}
+
+/// The claim of the engine's documentation.
+#[test]
+fn totals_are_a_function_of_the_set_alone() {
+    for number in 0..FAMILIES {
+        for seed in 0..rounds(200) {
+            let mut random = Random::new(seed * 100 + number as u64);
+            let mut bodies = family(number, &mut random);
+            if below(&mut random, 5) == 0 {
+                bodies.push(bodies[0].clone());
+            }
+            check_history(
+                &mut random,
+                &bodies,
+                &format!("family {number}, seed {seed}"),
+            );
+        }
+    }
+}
