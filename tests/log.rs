@@ -17,6 +17,9 @@ use union3d::log::{
     SceneLog, Seq, Step, TEMPORARY_PREFIX, remove_leftovers, remove_scene,
 };
 
+#[path = "oracle/random.rs"]
+mod random;
+
 const EDGE: u32 = 5;
 const KEEP: Keep = Keep {
     history_changes_max: 1000,
@@ -28,23 +31,24 @@ const KEEP: Keep = Keep {
 
 type Cubes = BTreeMap<CubeId, Place>;
 
-/// xorshift64*: the same numbers on every machine.
-struct Random(u64);
+/// Random numbers as this file wants them.
+struct Random(random::Random);
 
 impl Random {
+    fn new(seed: u64) -> Self {
+        Self(random::Random::new(seed))
+    }
+
     fn next(&mut self) -> u64 {
-        self.0 ^= self.0 >> 12;
-        self.0 ^= self.0 << 25;
-        self.0 ^= self.0 >> 27;
-        self.0.wrapping_mul(0x2545_F491_4F6C_DD1D)
+        self.0.next()
     }
 
     fn below(&mut self, end: usize) -> usize {
-        usize::try_from(self.next() >> 32).unwrap() % end
+        usize::try_from(self.0.below(end as u64)).unwrap()
     }
 
     fn place(&mut self) -> Place {
-        let corner = [(); 3].map(|()| i64::try_from(self.below(2_000_000)).unwrap() - 1_000_000);
+        let corner = [(); 3].map(|()| self.0.within(-1_000_000, 999_999));
         Place::new(corner, Edge::new(i64::from(EDGE)).unwrap()).unwrap()
     }
 }
@@ -359,8 +363,7 @@ fn sqlite_does_not_lose_commits_of_two_connections() {
 #[test]
 fn the_way_to_a_state_leads_over_what_tells_it_apart() {
     for seed in 1..=8 {
-        println!("seed {seed}");
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let data = directory();
         let mut model = Model::new();
         let (mut log, path) = create(&data, KEEP);
@@ -420,8 +423,7 @@ fn the_way_to_a_state_leads_over_what_tells_it_apart() {
 #[test]
 fn random_histories_come_back() {
     for seed in 1..=12 {
-        println!("seed {seed}");
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let data = directory();
         let keep = Keep {
             history_changes_max: u64::try_from(random.below(40)).unwrap(),
@@ -489,7 +491,7 @@ fn history_keeps_the_newest_and_what_replay_needs() {
         ..KEEP
     };
     let (mut log, path) = create(&data, keep);
-    let mut random = Random(1);
+    let mut random = Random::new(1);
     let mut model = Model::new();
     let history = log.history().unwrap();
     assert_eq!(history.range().unwrap(), (Seq(0), Seq(0)));
@@ -528,7 +530,7 @@ fn history_keeps_the_newest_and_what_replay_needs() {
 fn rows_are_found_by_the_numbers_of_their_moves() {
     let data = directory();
     let (mut log, _) = create(&data, KEEP);
-    let mut random = Random(2);
+    let mut random = Random::new(2);
     let mut model = Model::new();
     for _ in 0..10 {
         let records: Vec<_> = (0..50)
@@ -667,7 +669,7 @@ fn what_is_no_log_is_refused() {
 fn a_state_that_differs_is_damage_with_its_seq() {
     let data = directory();
     let (mut log, path) = create(&data, KEEP);
-    let mut random = Random(1);
+    let mut random = Random::new(1);
     let mut model = Model::new();
     let records: Vec<_> = (0..5)
         .map(|_| model.random_record(&mut random, 3))
@@ -689,7 +691,7 @@ fn a_state_that_differs_is_damage_with_its_seq() {
 fn a_snapshot_takes_at_most_20_bytes_a_cube_and_the_log_becomes_shorter() {
     let data = directory();
     let (mut log, path) = create(&data, KEEP);
-    let mut random = Random(3);
+    let mut random = Random::new(3);
     let mut model = Model::new();
     let count = 200_000;
     let inserted: Vec<_> = (0..count)
@@ -845,7 +847,7 @@ impl Crashed {
             states: self.model.states[..=usize::try_from(log.seq().0).unwrap()].to_vec(),
             ..Model::default()
         };
-        let record = model.random_record(&mut Random(1), 9);
+        let record = model.random_record(&mut Random::new(1), 9);
         log.append(&[record], &[]).unwrap();
         drop(log);
         let (log, cubes, notices) = reopen(&data.path().join("changed"), KEEP).unwrap();
@@ -865,7 +867,7 @@ enum Outcome {
 fn crashed_scenes() -> Vec<Crashed> {
     let mut scenes = vec![];
     let data = directory();
-    let mut random = Random(7);
+    let mut random = Random::new(7);
     let (mut log, path) = create(&data, KEEP);
     let mut model = Model::new();
     let mut append = |log: &mut SceneLog, model: &mut Model, changes: usize| {
@@ -881,9 +883,9 @@ fn crashed_scenes() -> Vec<Crashed> {
         &path,
         &model,
     ));
-    let record = model.random_record(&mut Random(8), 400);
+    let record = model.random_record(&mut Random::new(8), 400);
     log.append(&[record], &[]).unwrap();
-    write_snapshot(&mut log, &model, &mut Random(9));
+    write_snapshot(&mut log, &model, &mut Random::new(9));
     append(&mut log, &mut model, 4);
     let other = rusqlite::Connection::open(path.join("scene.sqlite")).unwrap();
     let checkpoint = || {
@@ -962,8 +964,7 @@ fn judge_all(
 
 /// `count` copies of `bytes`, each with one byte flipped; half of them among the bytes that are not zero.
 fn flips(bytes: &[u8], count: usize, seed: u64) -> impl Iterator<Item = Option<Vec<u8>>> {
-    println!("seed {seed}");
-    let mut random = Random(seed);
+    let mut random = Random::new(seed);
     let used: Vec<_> = (0..bytes.len()).filter(|&at| bytes[at] != 0).collect();
     (0..count).map(move |number| {
         let at = if number % 2 == 0 {
@@ -1002,7 +1003,7 @@ fn flipped_bytes_never_give_a_wrong_state() {
 fn every_flipped_byte_never_gives_a_wrong_state() {
     for scene in crashed_scenes() {
         for (file, bytes) in &scene.files {
-            let mut random = Random(13);
+            let mut random = Random::new(13);
             let flipped = (0..bytes.len()).map(|at| {
                 let mut flipped = bytes.clone();
                 flipped[at] ^= 1 << random.below(8);
@@ -1037,7 +1038,7 @@ const FRAME_SIZE: usize = 24 + 4096;
 #[test]
 fn a_write_ahead_file_cut_anywhere_holds_the_whole_changes_before_the_cut() {
     let data = directory();
-    let mut random = Random(5);
+    let mut random = Random::new(5);
     let (mut log, path) = create(&data, KEEP);
     let mut model = Model::new();
     let file = "scene.sqlite-wal";
@@ -1125,7 +1126,7 @@ fn the_write_ahead_file_is_refused_in_the_middle_and_cut_at_the_end() {
 fn verification_finds_what_replay_does_not_read() {
     let data = directory();
     let (mut log, path) = create(&data, KEEP);
-    let mut random = Random(1);
+    let mut random = Random::new(1);
     let mut model = Model::new();
     let records: Vec<_> = (0..9)
         .map(|_| model.random_record(&mut random, 3))

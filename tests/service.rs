@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
+use futures_util::future::BoxFuture;
 use parking_lot::{Condvar, Mutex};
 use union3d::engine::{Counts, Engine, Op, Rejected, Side, recount};
 use union3d::geometry::{CubeId, Edge, Effect, Place, Stock, Totals};
@@ -15,23 +16,11 @@ use union3d::service::{
     SceneName, SceneState, Seq, Service, ServiceConfig, ServiceError, Submission,
 };
 
+#[path = "oracle/random.rs"]
+mod random;
+use random::Random;
+
 const EDGE: i64 = 3;
-
-/// SplitMix64: the same numbers everywhere, for ever.
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-    fn below(&mut self, end: u64) -> u64 {
-        self.next() % end
-    }
-}
 
 fn edge() -> Edge {
     Edge::new(EDGE).unwrap()
@@ -175,7 +164,7 @@ impl Model {
 }
 
 fn random_place(random: &mut Random) -> Place {
-    let mut coordinate = || i64::try_from(random.below(7)).unwrap();
+    let mut coordinate = || random.within(0, 6);
     place(coordinate(), coordinate(), coordinate())
 }
 
@@ -207,8 +196,7 @@ async fn check_state(scene: &Scene, model: &Model) {
 #[tokio::test]
 async fn random_changes_agree_with_a_plain_map_through_restarts() {
     for seed in 0..12 {
-        println!("seed {seed}");
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let directory = tempfile::tempdir().unwrap();
         let mut service = start(directory.path());
         let mut scene = create(&service, "model").await;
@@ -430,7 +418,7 @@ async fn concurrent_changes_are_equal_to_some_order_and_the_order_is_the_seq() {
         .map(|task| {
             let scene = scene.clone();
             tokio::spawn(async move {
-                let mut random = Random(task);
+                let mut random = Random::new(task);
                 let mut answers = Vec::new();
                 for _ in 0..40 {
                     let ops = random_ops(&mut random);
@@ -962,7 +950,7 @@ async fn a_name_that_comes_and_goes_never_mixes_its_lives() {
         .map(|task| {
             let (service, lives) = (service.clone(), lives.clone());
             tokio::spawn(async move {
-                let mut random = Random(task);
+                let mut random = Random::new(task);
                 for _ in 0..25 {
                     match random.below(3) {
                         0 => match service.remove(&name("s")).await {
@@ -1121,7 +1109,7 @@ async fn a_long_log_is_cut_by_a_snapshot_while_changes_go_on() {
     };
     let service = Service::start(few()).unwrap();
     let scene = create(&service, "s").await;
-    let mut random = Random(7);
+    let mut random = Random::new(7);
     let mut live: Vec<u64> = Vec::new();
     let mut states = Vec::new();
     let mut greatest = 0;
@@ -1300,6 +1288,98 @@ async fn files_of_version_0_1_0_open() {
     };
     let reverted = scene.change(revert).await.unwrap();
     assert_eq!(reverted.published.totals, rows[14].totals);
+}
+
+/// Snapshots of many small steps, with changes of all kinds between the steps: what is replayed from them is the state they were begun
+/// at, with the changes since. Replay compares all totals, and refuses a scene whose snapshot is a mixture.
+#[tokio::test]
+async fn a_snapshot_is_of_one_state_while_changes_go_on() {
+    for seed in 0..6 {
+        let mut random = Random::new(seed);
+        let directory = tempfile::tempdir().unwrap();
+        let often = || ServiceConfig {
+            history_changes_max: 10,
+            revert_changes_max: 0,
+            snapshot_log_bytes_min: 4_000,
+            snapshot_step_cubes: 1 + usize::try_from(seed).unwrap() * 3,
+            ..config(directory.path())
+        };
+        let mut service = Service::start(often()).unwrap();
+        let mut scene = create(&service, "s").await;
+        let mut model = Model::new();
+        for _ in 0..300 {
+            let mut ops = Vec::new();
+            for _ in 0..=random.below(4) {
+                let id = CubeId(1 + random.below(120));
+                ops.push(Op::Delete(id));
+                if random.below(5) > 0 {
+                    ops.push(Op::Insert(id, random_place(&mut random)));
+                }
+            }
+            model.apply(&ops).unwrap();
+            scene.change(named(ops)).await.unwrap();
+            if random.below(25) == 0 {
+                service.shutdown().await;
+                drop((scene, service));
+                service = Service::start(often()).unwrap();
+                scene = running(&service, "s");
+                check_state(&scene, &model).await;
+            }
+        }
+        let oldest = scene.at(Seq(1)).await;
+        assert!(
+            matches!(oldest, Err(ServiceError::SeqNotKept { oldest, .. }) if oldest > Seq(100)),
+            "no snapshot has let the history be cut: {oldest:?}"
+        );
+    }
+}
+
+/// A change of a stream waits for room instead of being refused, and what was queued one after the other is judged in that order.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_stream_waits_for_room_in_a_full_queue() {
+    let directory = tempfile::tempdir().unwrap();
+    let disk = Arc::new(TestDisk::default());
+    let service = start_on(
+        &disk,
+        ServiceConfig {
+            queue_changes_max: 2,
+            ..config(directory.path())
+        },
+    );
+    let scene = create(&service, "s").await;
+    disk.hold(Some(FailPoint::Append));
+    let first = scene.submit(insert(1, 0), None).await.unwrap();
+    disk.wait_held();
+    let mut queued: Vec<BoxFuture<'_, Result<Applied, ServiceError>>> = vec![Box::pin(first)];
+    for id in 2..=3 {
+        queued.push(Box::pin(scene.submit(insert(id, 0), None).await.unwrap()));
+    }
+    let refused = scene.change(insert(9, 0)).await;
+    assert!(
+        matches!(refused, Err(ServiceError::QueueFull { waiting: 2 })),
+        "{refused:?}"
+    );
+    let waits = {
+        let scene = scene.clone();
+        tokio::spawn(async move {
+            let mut queued = Vec::new();
+            for id in 4..=8 {
+                queued.push(scene.submit(insert(id, 0), None).await.unwrap());
+            }
+            queued
+        })
+    };
+    disk.hold(None);
+    queued.extend(
+        waits
+            .await
+            .unwrap()
+            .into_iter()
+            .map(|answer| Box::pin(answer) as _),
+    );
+    for (seq, answer) in (1..).zip(queued) {
+        assert_eq!(answer.await.unwrap().published.seq, Seq(seq));
+    }
 }
 
 #[tokio::test]

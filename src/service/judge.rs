@@ -1,7 +1,7 @@
 //! Judging a change: what it does to the set of cubes, or why it is refused. Nothing changes here.
 
 use super::next_id::{IdRange, NextId};
-use super::{Counting, Operations, Seq, ServiceError, meters, revert};
+use super::{CHANGE_OPERATIONS_MAX, Counting, Operations, Seq, ServiceError, meters, revert};
 use crate::engine::{Counts, Engine, Op};
 use crate::geometry::{CubeId, Effect};
 use crate::log::{LogError, SceneLog};
@@ -71,7 +71,18 @@ impl Bench<'_> {
                 (delete.chain(insert).collect(), assigned)
             }
             Operations::Revert(to) => {
-                let effect = revert::effect(self.engine, self.log, self.newest, to)?;
+                let (newest, oldest) = (self.newest, self.log.oldest_reachable());
+                if to > newest {
+                    return Err(ServiceError::SeqNotReached { seq: to, newest }.into());
+                }
+                if to < oldest {
+                    return Err(ServiceError::NotReachable { seq: to, oldest }.into());
+                }
+                let effect = revert::effect(self.engine, self.log, to).map_err(Unfit::Unread)?;
+                let operations = effect.deleted.len() + effect.inserted.len();
+                if operations > CHANGE_OPERATIONS_MAX {
+                    return Err(ServiceError::TooManyOperations { operations }.into());
+                }
                 let net = Counts {
                     inserted: effect.inserted.len() as u64,
                     deleted: effect.deleted.len() as u64,

@@ -21,6 +21,9 @@ mod lifecycle;
 mod meters;
 mod next_id;
 mod offline;
+#[cfg(test)]
+#[path = "../../tests/oracle/random.rs"]
+mod random;
 mod registry;
 mod replay;
 mod revert;
@@ -69,6 +72,8 @@ pub struct ServiceConfig {
     pub revert_bytes_max: u64,
     /// A log shorter than this since its last snapshot wants none. In bytes.
     pub snapshot_log_bytes_min: u64,
+    /// Cubes of a snapshot that are read and written between two groups: the default takes a few milliseconds.
+    pub snapshot_step_cubes: usize,
     /// How long a stopped scene waits between two tries of the disk.
     pub probe_interval: Duration,
     /// Most cubes of a scene.
@@ -320,6 +325,7 @@ impl ServiceConfig {
             revert_changes_max: 1_000_000,
             revert_bytes_max: 1 << 30,
             snapshot_log_bytes_min: 16 << 20,
+            snapshot_step_cubes: 1 << 16,
             probe_interval: Duration::from_secs(1),
             scene_cubes_max: CUBES_MAX,
             replays_max: 2,

@@ -197,18 +197,14 @@ mod tests {
     use super::*;
     use crate::log::Record;
     use crate::service::Motion;
+    use crate::service::random::Random;
 
     /// What many changes do together is what they do one after the other: cubes that come and go, move, and come again.
     #[test]
     fn changes_taken_together_come_to_the_same() {
         let edge = Edge::new(4).unwrap();
-        let mut random = 1_u64;
-        let mut below = |end: u64| {
-            random ^= random << 13;
-            random ^= random >> 7;
-            random ^= random << 17;
-            random % end
-        };
+        let mut random = Random::new(1);
+        let mut below = |bound| random.below(bound);
         let mut live: BTreeMap<CubeId, Place> = BTreeMap::new();
         let mut engine = Engine::new(edge);
         let mut together = Rebuilt::new(Engine::new(edge), Compare::Some);

@@ -291,27 +291,17 @@ mod tests {
     use super::*;
     use crate::engine::Op;
     use crate::geometry::{CUBES_MAX, Edge, Totals};
+    use crate::service::random::Random;
 
     const EDGE: i32 = 24;
-    const SIDE: u64 = 120;
+    const SIDE: i64 = 120;
 
-    struct Random(u64);
+    fn point(random: &mut Random) -> [i32; 3] {
+        [(); 3].map(|()| i32::try_from(random.within(0, SIDE - 1)).unwrap())
+    }
 
-    impl Random {
-        fn below(&mut self, end: u64) -> u64 {
-            self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-            let mut mixed = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-            mixed ^= mixed >> 27;
-            mixed % end
-        }
-
-        fn point(&mut self) -> [i32; 3] {
-            [(); 3].map(|()| i32::try_from(self.below(SIDE)).unwrap())
-        }
-
-        fn place(&mut self, edge: Edge) -> Place {
-            Place::new(self.point().map(i64::from), edge).unwrap()
-        }
+    fn place(random: &mut Random, edge: Edge) -> Place {
+        Place::new(point(random).map(i64::from), edge).unwrap()
     }
 
     /// A reader who comes after every step and look, and knows what it must find.
@@ -378,8 +368,7 @@ mod tests {
     fn readers_find_the_durable_state_after_every_step() {
         let edge = Edge::new(EDGE.into()).unwrap();
         for seed in 0..6 {
-            println!("seed {seed}");
-            let mut random = Random(seed);
+            let mut random = Random::new(seed);
             let empty = Published {
                 seq: Seq(0),
                 at_ms: 0,
@@ -396,14 +385,14 @@ mod tests {
                         let id = CubeId(random.below(600));
                         ops.push(Op::Delete(id));
                         if random.below(4) < if change < 20 { 3 } else { 1 } {
-                            ops.push(Op::Insert(id, random.place(edge)));
+                            ops.push(Op::Insert(id, place(&mut random, edge)));
                         }
                     }
                     let effect = set
                         .look(|engine| engine.judge(&ops, CUBES_MAX))
                         .unwrap()
                         .effect;
-                    let points = [(); 5].map(|()| random.point());
+                    let points = [(); 5].map(|()| point(&mut random));
                     let mut ids = [(); 5].map(|()| CubeId(random.below(600)));
                     if let Some((id, _)) = effect.deleted.first() {
                         ids[0] = *id;
@@ -445,9 +434,9 @@ mod tests {
             totals: Totals::default(),
         };
         let set = CubeSet::new(Engine::new(edge), &empty);
-        let mut random = Random(1);
+        let mut random = Random::new(1);
         let inserted: Vec<_> = (0..1000)
-            .map(|id| (CubeId(id), random.place(edge)))
+            .map(|id| (CubeId(id), place(&mut random, edge)))
             .collect();
         let mut order: Vec<Cursor> = inserted.iter().map(|(id, _)| Cursor::of(*id)).collect();
         order.sort_unstable();

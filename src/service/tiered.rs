@@ -110,17 +110,13 @@ fn merge<K: Ord + Copy, V>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::service::random::Random;
 
     /// Against a plain map: single entries and runs in any order, small keys so that most come again.
     #[test]
     fn the_first_entry_of_a_key_stays() {
-        let mut random = 1_u64;
-        let mut below = |end: u64| {
-            random ^= random << 13;
-            random ^= random >> 7;
-            random ^= random << 17;
-            random % end
-        };
+        let mut random = Random::new(1);
+        let mut below = |bound| random.below(bound);
         for round in 0..200 {
             let mut tiered = Tiered::default();
             let mut plain = BTreeMap::new();

@@ -17,9 +17,6 @@ use crate::engine::{Access, Cursor, Engine};
 use crate::geometry::{CubeId, Effect, Place};
 use crate::log::{LogError, SceneLog};
 
-/// Cubes that one step of a snapshot reads and writes: a few milliseconds between two groups.
-const SNAPSHOT_STEP_CUBES: usize = 65_536;
-
 /// What is being done.
 pub(super) enum Upkeep {
     /// Nothing, until the log wants something (and not before the time, if any).
@@ -79,13 +76,14 @@ impl Upkeep {
         }
     }
 
-    /// One step, short enough that changes hardly wait for it. The set is at its durable state.
+    /// One step, short enough that changes hardly wait for it; of a snapshot, so many cubes. The set is at its durable state.
     pub(super) fn step(
         &mut self,
         log: &mut SceneLog,
         set: &CubeSet,
         published: &Published,
         next_id: NextId,
+        snapshot_step_cubes: usize,
     ) -> Result<(), LogError> {
         match self {
             Self::Rest(_) if log.wants_snapshot(set.len()) => {
@@ -95,7 +93,7 @@ impl Upkeep {
             Self::Rest(_) => *self = Self::Trim,
             Self::Snapshot(copying) => {
                 let before = copying.after;
-                let cubes = set.look(|engine| copying.next(engine, SNAPSHOT_STEP_CUBES));
+                let cubes = set.look(|engine| copying.next(engine, snapshot_step_cubes));
                 if copying.after == before {
                     log.snapshot_finish()?;
                     meters::snapshot_written();
@@ -120,6 +118,7 @@ mod tests {
 
     use super::*;
     use crate::geometry::Edge;
+    use crate::service::random::Random;
 
     /// Whatever changes between two steps (cubes come, go, move, and the table grows and shrinks): what is read is the set as it was at
     /// the first one, and no step reads more than it may.
@@ -127,14 +126,8 @@ mod tests {
     fn a_set_is_read_as_of_one_moment_while_it_changes() {
         let edge = Edge::new(4).unwrap();
         for seed in 1..40_u64 {
-            println!("seed {seed}");
-            let mut random = seed;
-            let mut below = |end: u64| {
-                random ^= random << 13;
-                random ^= random >> 7;
-                random ^= random << 17;
-                random % end
-            };
+            let mut random = Random::new(seed);
+            let mut below = |bound| random.below(bound);
             let mut engine = Engine::new(edge);
             let mut change = |engine: &mut Engine, spread: u64, cubes: u64| {
                 let mut effect = Effect::default();

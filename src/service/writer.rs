@@ -269,7 +269,8 @@ impl Writer {
         if !upkeep.waits(log, &feed.set) {
             return Ok(());
         }
-        match upkeep.step(log, &feed.set, &self.published, self.next_id) {
+        let step_cubes = scene.setup.config.snapshot_step_cubes;
+        match upkeep.step(log, &feed.set, &self.published, self.next_id, step_cubes) {
             // Changes may still fit where a snapshot does not; they will tell when they do not.
             Err(error @ LogError::Full { .. }) => {
                 tracing::warn!(
