@@ -19,13 +19,13 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use crate::geometry::{CubeId, Place};
 
+use super::Engine;
 use super::access::Access;
 use super::grid::{BinAddress, CUBES_A_STEP, Grid, Settled};
-use super::marginal::{Difference, Kernel, Span};
+use super::kernel::{Difference, Kernel, Span};
 use super::neighbours::Neighbours;
 use super::parallel::in_parallel;
 use super::prefetch::{AHEAD, prefetch};
-use super::{Engine, add, retract};
 
 /// From so many cubes on, ordering them pays.
 pub(super) const BATCH_MIN: usize = 32;
@@ -119,7 +119,7 @@ fn insert_slice(access: &impl Access, cubes: &[(CubeId, Place)]) {
     let found = access.look(|engine| engine.evaluate(&mut helpers, &touched, cubes.len(), false));
     for found in found {
         if let Some(sum) = &found.sum {
-            access.step(|engine| add(&mut engine.totals, sum));
+            access.step(|engine| sum.insert_into(&mut engine.totals));
         }
         // From the last one back: what takes the place of a removed one has been looked at.
         for some in found.covered.rchunks(CUBES_A_STEP) {
@@ -255,7 +255,7 @@ fn delete_slice(access: &impl Access, cubes: &[(CubeId, Place)]) {
     settle(access, &touched);
     for found in &found {
         if let Some(sum) = &found.sum {
-            access.step(|engine| retract(&mut engine.totals, sum));
+            access.step(|engine| sum.delete_from(&mut engine.totals));
         }
         for some in found.boxes.chunks(CUBES_A_STEP) {
             access.step(|engine| {
@@ -484,24 +484,12 @@ impl Found {
                 self.covered.push((address, index));
                 continue;
             }
-            let found = helper.kernel.found();
-            match &mut self.sum {
-                None => self.sum = Some(*found),
-                Some(sum) => sum.add(found),
-            }
+            let sum = self.sum.get_or_insert_with(|| helper.kernel.nothing());
+            helper.kernel.add_to(sum);
             if boxes {
                 self.uncovering.push((place, helper.uncovered.len()));
                 self.boxes.extend_from_slice(&helper.uncovered);
             }
-        }
-    }
-}
-
-impl Difference {
-    fn add(&mut self, other: &Self) {
-        self.union.add(&other.union);
-        for (sum, part) in self.stock.iter_mut().zip(&other.stock) {
-            sum.add(part);
         }
     }
 }

@@ -12,9 +12,9 @@
 
 use crate::geometry::CubeId;
 
-use super::neighbours::LANES;
+use super::lanes::{Avx2, WORDS};
 use super::prefetch::prefetch;
-use super::scan::{Avx2, Corners, within};
+use super::scan::{Corners, first_bits, within};
 
 /// Which bin: the coordinates of its cubes, shifted.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
@@ -48,7 +48,7 @@ const _: () = assert!(size_of::<Bin>() == 32);
 
 /// Least cubes for which a bin has room. What follows a column of corners must fill a register: see [`Corners`].
 const CAPACITY_MIN: usize = 4;
-const _: () = assert!(2 * CAPACITY_MIN + 1 >= LANES - 1);
+const _: () = assert!(2 * CAPACITY_MIN + 1 >= WORDS - 1);
 
 impl Bin {
     fn vacant() -> Self {
@@ -149,9 +149,9 @@ impl Bin {
         mut visit: impl FnMut(usize) -> bool,
     ) {
         let corners = self.corners();
-        for first in (0..self.len()).step_by(LANES) {
-            let left = (self.len() - first).min(LANES);
-            let mut kept = within(avx2, corners, first, min, reach) & (0xff >> (LANES - left));
+        for first in (0..self.len()).step_by(WORDS) {
+            let mut kept =
+                within(avx2, corners, first, min, reach) & first_bits(self.len() - first);
             while kept != 0 {
                 if visit(first + kept.trailing_zeros() as usize) {
                     return;

@@ -18,7 +18,7 @@ use crate::geometry::{Edge, Place};
 
 use super::bins::{BinKey, CubeWalk};
 use super::grid::Grid;
-use super::marginal::Span;
+use super::kernel::Span;
 
 /// Cells along one side of a block.
 const SIDE: i32 = 8;

@@ -19,9 +19,10 @@ use crate::geometry::{Bounds, CubeId, Edge, Place};
 
 use super::bins::{Bin, BinKey, Bins, CubeWalk, Share, Walk};
 use super::extents::{Along, Extents};
+use super::lanes::{Avx2, avx2};
 use super::neighbours::Neighbours;
 use super::parallel::in_parallel;
-use super::scan::{Avx2, collect};
+use super::scan::collect;
 
 /// Cubes by where they are.
 #[derive(Debug)]
@@ -146,7 +147,7 @@ impl Grid {
             shift,
             narrowest,
             rehash: Rehash::Idle,
-            avx2: Avx2::detect(),
+            avx2: avx2(),
             len: 0,
             review: [0, REVIEW_MIN],
             extents: Extents::new(),

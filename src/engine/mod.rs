@@ -25,7 +25,8 @@ mod extents;
 mod grid;
 mod ids;
 mod judge;
-mod marginal;
+mod kernel;
+mod lanes;
 mod neighbours;
 mod parallel;
 mod prefetch;
@@ -48,7 +49,7 @@ use covered_cells::CoveredCells;
 use grid::{CUBES_A_STEP, Grid};
 pub use ids::Cursor;
 use ids::IdTable;
-use marginal::{Difference, Kernel, Span};
+use kernel::{Kernel, Span};
 use neighbours::Neighbours;
 use prefetch::AHEAD;
 
@@ -439,7 +440,7 @@ impl Engine {
 
     /// Makes a cube exposed that adds to the union what the kernel found.
     fn expose(&mut self, id: CubeId, place: Place) {
-        add(&mut self.totals, self.kernel.found());
+        self.kernel.insert_into(&mut self.totals);
         self.exposed.insert(place, id);
         if self.covered_cells.are_kept() && self.exposed.is_dense_at(place) {
             self.covered_cells.mark(place);
@@ -460,7 +461,7 @@ impl Engine {
         if !self.uncovered(place) {
             return;
         }
-        retract(&mut self.totals, self.kernel.found());
+        self.kernel.delete_from(&mut self.totals);
         for uncovered in &self.work.uncovered {
             self.covered_cells.unmark(uncovered);
         }
@@ -638,22 +639,6 @@ impl Held {
             _ => Side::Boundary,
         };
         (side, self.least)
-    }
-}
-
-/// Adds what came to the union and to the parts of the stock.
-fn add(totals: &mut Totals, difference: &Difference) {
-    totals.measures.add(&difference.union);
-    for (total, part) in totals.stock.iter_mut().zip(&difference.stock) {
-        total.add(part);
-    }
-}
-
-/// Takes away what went.
-fn retract(totals: &mut Totals, difference: &Difference) {
-    totals.measures.retract(&difference.union);
-    for (total, part) in totals.stock.iter_mut().zip(&difference.stock) {
-        total.retract(part);
     }
 }
 

@@ -1,12 +1,11 @@
 //! The cubes that touch one cube: what the grid hands to the kernel.
 
-/// Lanes of the widest register that reads or writes a column.
-pub(super) const LANES: usize = 8;
+use super::lanes::WORDS;
 
 /// Offsets from the lower corner of one cube to those of the cubes that touch it (closed boxes, so no coordinate is
 /// beyond an edge on either side), in no particular order: a column for each axis.
 ///
-/// A column is longer than `len` by at least [`LANES`] elements of no meaning, so that whole registers may be read and
+/// A column is longer than `len` by at least [`WORDS`] elements of no meaning, so that whole registers may be read and
 /// written from any element before `len` and right behind the last one.
 #[derive(Clone, Debug)]
 pub(super) struct Neighbours {
@@ -18,7 +17,7 @@ pub(super) struct Neighbours {
 
 impl Neighbours {
     pub(super) fn new() -> Self {
-        let column = || vec![0; LANES];
+        let column = || vec![0; WORDS];
         Self {
             x: column(),
             y: column(),
@@ -34,7 +33,7 @@ impl Neighbours {
     /// Makes room for `more` offsets and the elements behind them.
     #[inline]
     pub(super) fn reserve(&mut self, more: usize) {
-        let needed = self.len + more + LANES;
+        let needed = self.len + more + WORDS;
         if self.x.len() < needed {
             self.grow(needed);
         }
@@ -47,17 +46,8 @@ impl Neighbours {
         }
     }
 
-    /// Appends an offset for which there is room.
-    #[inline]
-    pub(super) fn push(&mut self, offset: [i32; 3]) {
-        let [x, y, z] = offset;
-        self.x[self.len] = x;
-        self.y[self.len] = y;
-        self.z[self.len] = z;
-        self.len += 1;
-    }
-
     /// The offsets one by one.
+    #[cfg(test)]
     pub(super) fn iter(&self) -> impl Iterator<Item = [i32; 3]> + '_ {
         let columns = self.x[..self.len].iter().zip(&self.y).zip(&self.z);
         columns.map(|((x, y), z)| [*x, *y, *z])
