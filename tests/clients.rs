@@ -23,13 +23,13 @@ use tonic::transport::{Channel, Endpoint};
 use tonic_types::StatusExt;
 use union3d::engine::recount;
 use union3d::geometry::{Edge, Place};
-use union3d::wire::convert::{Exact, Settings, WantedSettings, mass_properties};
+use union3d::wire::convert::{self, Exact, Settings, SettingsDocument, mass_properties};
 use union3d::wire::proto::union_service_client::UnionServiceClient;
 use union3d::wire::proto::{
-    ApplyChangeRequest, AuditSceneRequest, Change, CreateSceneRequest, ExactMeasures, ExactVector,
-    GetHistoryRequest, GetMassPropertiesRequest, ListCubesRequest, MassProperties, Outcome,
-    SceneSettings, StreamChangesRequest, StreamOpening, StreamedChange,
-    stream_changes_request as request, stream_changes_response as response,
+    ApplyChangeRequest, AuditSceneRequest, Change, CreateSceneRequest, GetHistoryRequest,
+    GetMassPropertiesRequest, ListCubesRequest, MassProperties, Outcome, SceneSettings,
+    StreamChangesRequest, StreamOpening, StreamedChange, stream_changes_request as request,
+    stream_changes_response as response,
 };
 
 #[path = "oracle/random.rs"]
@@ -475,60 +475,11 @@ fn outcome(outcome: Option<Outcome>) -> Answered {
 }
 
 fn from_json(shown: &Value) -> Totals {
-    let exact = &shown["exact"];
-    let text = |value: &Value| value.as_str().unwrap().to_owned();
-    let triple = |value: &Value| [0, 1, 2].map(|axis| text(&value[axis]));
-    let edges = &exact["edge_length"];
-    Totals {
-        cubes: shown["cubes"].as_u64().unwrap(),
-        euler_characteristic: shown["euler_characteristic"].as_i64().unwrap(),
-        vertices: shown["vertices"]["total"].as_i64().unwrap(),
-        exact: Exact {
-            steps_per_unit: text(&exact["steps_per_unit"]),
-            volume: text(&exact["volume"]),
-            area: text(&exact["area"]),
-            area_by_axis: triple(&exact["area_by_axis"]),
-            edge_length: union3d::wire::convert::ExactEdgeLength {
-                total: text(&edges["total"]),
-                convex: text(&edges["convex"]),
-                concave: text(&edges["concave"]),
-                crossing: text(&edges["crossing"]),
-            },
-            first_moments2: triple(&exact["first_moments2"]),
-            second_moments3: triple(&exact["second_moments3"]),
-            product_moments4: triple(&exact["product_moments4"]),
-        },
-    }
+    Totals::of(serde_json::from_value(shown.clone()).unwrap())
 }
 
 fn from_message(shown: MassProperties) -> Totals {
-    let triple = |vector: Option<ExactVector>| {
-        let ExactVector { x, y, z } = vector.unwrap();
-        [x, y, z]
-    };
-    let exact: ExactMeasures = shown.exact.unwrap();
-    let edges = exact.edge_length.unwrap();
-    let products = exact.product_moments4.unwrap();
-    Totals {
-        cubes: shown.cubes,
-        euler_characteristic: shown.euler_characteristic,
-        vertices: shown.vertices.unwrap().total,
-        exact: Exact {
-            steps_per_unit: exact.steps_per_unit,
-            volume: exact.volume,
-            area: exact.area,
-            area_by_axis: triple(exact.area_by_axis),
-            edge_length: union3d::wire::convert::ExactEdgeLength {
-                total: edges.total,
-                convex: edges.convex,
-                concave: edges.concave,
-                crossing: edges.crossing,
-            },
-            first_moments2: triple(exact.first_moments2),
-            second_moments3: triple(exact.second_moments3),
-            product_moments4: [products.xy, products.yz, products.zx],
-        },
-    }
+    Totals::of(shown.try_into().unwrap())
 }
 
 /// The model: a set of cubes.
@@ -566,11 +517,18 @@ impl Model {
             .iter()
             .map(|id| Place::new(corner(*id), edge).unwrap());
         let shown = mass_properties(None, None, &recount(edge, None, places), settings);
-        Totals {
+        Totals::of(shown)
+    }
+}
+
+impl Totals {
+    fn of(shown: convert::MassProperties) -> Self {
+        let integers = shown.integers;
+        Self {
             cubes: shown.cubes,
-            euler_characteristic: shown.euler_characteristic,
-            vertices: shown.vertices.total,
-            exact: shown.exact,
+            euler_characteristic: integers.euler_characteristic,
+            vertices: integers.vertices.total,
+            exact: integers.exact,
         }
     }
 }
@@ -583,9 +541,9 @@ struct Row {
 
 /// Gives every event of a scene its place in the order of the seqs, or fails.
 fn check(scene: &str, events: &[Event], rows: &[Row], last: &BTreeSet<u64>) {
-    let settings = Settings::check(WantedSettings {
+    let settings = Settings::check(&SettingsDocument {
         steps_per_unit: 1.0,
-        ..WantedSettings::with_edge(EDGE as f64)
+        ..SettingsDocument::with_edge(EDGE as f64)
     })
     .unwrap();
     let mut by_seq: BTreeMap<u64, Vec<&Event>> = BTreeMap::new();
@@ -860,9 +818,9 @@ async fn sixteen_clients_see_one_history() {
 /// The check itself is checked: each wrong story is told from the right one.
 #[test]
 fn a_history_that_cannot_be_is_found_out() {
-    let settings = Settings::check(WantedSettings {
+    let settings = Settings::check(&SettingsDocument {
         steps_per_unit: 1.0,
-        ..WantedSettings::with_edge(EDGE as f64)
+        ..SettingsDocument::with_edge(EDGE as f64)
     })
     .unwrap();
     let start = Instant::now();

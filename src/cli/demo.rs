@@ -18,7 +18,7 @@ use union3d::config::ServeConfig;
 use union3d::geometry::Place;
 use union3d::service::{Readiness, Service};
 use union3d::toolpath::{Event, Motion, Moves};
-use union3d::wire::convert::{Anchor, Settings, WantedSettings};
+use union3d::wire::convert::{Anchor, Settings, SettingsDocument};
 use union3d::wire::grpc;
 use union3d::wire::http::{self, Limits};
 
@@ -208,11 +208,11 @@ or read {url}/docs"
 
 /// The places of the cutter along the bundled program.
 fn places() -> Result<Vec<Place>, Box<dyn std::error::Error>> {
-    let wanted = WantedSettings {
+    let wanted = SettingsDocument {
         anchor: Anchor::Center,
-        ..WantedSettings::with_edge(EDGE)
+        ..SettingsDocument::with_edge(EDGE)
     };
-    let settings = Settings::check(wanted).map_err(|faults| super::input::faults(&faults))?;
+    let settings = Settings::check(&wanted).map_err(|faults| super::input::faults(&faults))?;
     let mut cutter = Cutter::new(&settings, Unit::Mm, STEP);
     let mut places = Vec::new();
     for event in Moves::new(PROGRAM.as_bytes()) {

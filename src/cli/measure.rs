@@ -5,13 +5,14 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::ValueEnum;
-use serde::Deserialize;
-use serde_json::Value;
 
 use super::{Outcome, input, progress, report};
 use union3d::engine::{Engine, Op, Rejected};
 use union3d::geometry::{CUBES_MAX, CubeId, InvalidCube, Place};
-use union3d::wire::convert::{self, Anchor, Settings, WantedSettings};
+use union3d::wire::convert::{self, Anchor, Settings, SettingsDocument};
+use union3d::wire::decode;
+use union3d::wire::documents::{Line, NewCube};
+use union3d::wire::problem::Problem;
 
 /// Operations judged and applied together.
 const BATCH_OPERATIONS: usize = 65_536;
@@ -92,15 +93,15 @@ pub(crate) fn run(args: Args) -> Outcome {
         format,
         json,
     } = args;
-    let wanted = WantedSettings {
+    let wanted = SettingsDocument {
         steps_per_unit: steps_per_unit.into(),
         anchor: match anchor {
             At::Corner => Anchor::Corner,
             At::Center => Anchor::Center,
         },
-        ..WantedSettings::with_edge(edge)
+        ..SettingsDocument::with_edge(edge)
     };
-    let settings = Settings::check(wanted).map_err(|faults| input::faults(&faults))?;
+    let settings = Settings::check(&wanted).map_err(|faults| input::faults(&faults))?;
     let (source, size) = input::open(&file)?;
     let bar = progress::bytes(size);
     let mut source = BufReader::with_capacity(DETECTION_BYTES.max(1 << 16), bar.wrap_read(source));
@@ -347,22 +348,6 @@ fn find_columns(first: &csv::StringRecord) -> Result<(Columns, bool), String> {
     ))
 }
 
-/// A line of NDJSON.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Cube {
-    id: Option<u64>,
-    at: [f64; 3],
-}
-
-/// A line of a stream of changes.
-#[derive(Deserialize)]
-#[serde(rename_all = "lowercase")]
-enum Change {
-    Insert(Cube),
-    Delete(u64),
-}
-
 fn read_ndjson(mut source: impl BufRead, scene: &mut Scene<'_>) -> Result<(), Failure> {
     let mut text = Vec::new();
     for line in 1.. {
@@ -378,23 +363,18 @@ fn read_ndjson(mut source: impl BufRead, scene: &mut Scene<'_>) -> Result<(), Fa
         if json.is_empty() {
             continue;
         }
-        match parse(json).map_err(|what| format!("line {line}: {what}: {}", excerpt(json)))? {
-            Change::Insert(cube) => scene.insert_at(line, cube.id, cube.at)?,
-            Change::Delete(id) => scene.push(line, Op::Delete(CubeId(id)))?,
+        let wrong = |problem: Problem| {
+            let (what, text) = (problem.detail(), excerpt(json));
+            format!("line {line}: {what} (a line is like {{\"id\":1,\"at\":[0,0,2.5]}}): {text}")
+        };
+        match decode::file_line(json).map_err(wrong)? {
+            Line::Insert(NewCube { id, at }) => {
+                scene.insert_at(line, id.map(|id| id.id.0), at)?;
+            }
+            Line::Delete(id) => scene.push(line, Op::Delete(id.id))?,
         }
     }
     Ok(())
-}
-
-fn parse(json: &[u8]) -> Result<Change, String> {
-    let value: Value = serde_json::from_slice(json).map_err(|error| error.to_string())?;
-    let bare = value.get("at").is_some() || value.get("id").is_some();
-    let change = if bare {
-        Cube::deserialize(value).map(Change::Insert)
-    } else {
-        Change::deserialize(value)
-    };
-    change.map_err(|error| format!("{error} (a line is like {{\"id\":1,\"at\":[0,0,2.5]}})"))
 }
 
 fn excerpt(text: &[u8]) -> String {

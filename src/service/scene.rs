@@ -6,6 +6,7 @@
 //!   history, at ──> a connection of their own
 //! ```
 
+use std::any::Any;
 use std::path::PathBuf;
 use std::pin::pin;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
@@ -66,6 +67,8 @@ pub struct Scene {
     pub(super) setup: Arc<Setup>,
     /// Known once the log has been opened.
     header: OnceLock<Header>,
+    /// What those above made of the header's settings.
+    settings: OnceLock<Arc<dyn Any + Send + Sync>>,
     condition: ArcSwap<Condition>,
     /// How far replay has come.
     permille: AtomicU32,
@@ -97,6 +100,22 @@ impl Scene {
     /// Its settings, as given to `create`. Empty while its log has not been opened ([`super::Service::scene`] refuses it then).
     pub fn settings(&self) -> &str {
         self.header.get().map_or("", |header| &header.settings)
+    }
+
+    /// What `read` makes of its settings, made once and kept with the scene: those above know what the text means, the service does not.
+    /// None, and nothing kept, when it makes nothing of them. All callers ask for the same type.
+    pub fn settings_as<T: Any + Send + Sync>(
+        &self,
+        read: impl FnOnce(&str) -> Option<T>,
+    ) -> Option<Arc<T>> {
+        let kept = match self.settings.get() {
+            Some(kept) => kept,
+            None => {
+                let made = Arc::new(read(self.settings())?);
+                self.settings.get_or_init(|| made)
+            }
+        };
+        kept.clone().downcast().ok()
     }
 
     /// Edge of its cubes. One step while its log has not been opened ([`super::Service::scene`] refuses it then).
@@ -415,6 +434,7 @@ impl Scene {
             directory,
             setup,
             header: OnceLock::new(),
+            settings: OnceLock::new(),
             condition: ArcSwap::from_pointee(Condition::Recovering),
             permille: AtomicU32::new(0),
             started: AtomicBool::new(false),

@@ -29,7 +29,7 @@ pub(super) enum Sent {
 /// An atomic change on its way.
 pub(super) struct Atomic {
     pub(super) scene: Arc<Scene>,
-    pub(super) settings: Settings,
+    pub(super) settings: Arc<Settings>,
     sent: Sent,
     cubes_max: usize,
 }
@@ -37,7 +37,7 @@ pub(super) struct Atomic {
 impl Atomic {
     pub(super) fn new(
         scene: Arc<Scene>,
-        settings: Settings,
+        settings: Arc<Settings>,
         sent: Sent,
         cubes_max: usize,
     ) -> Arc<Self> {

@@ -15,10 +15,15 @@ use crate::service::{
     ServiceError, Submission,
 };
 
-/// A scene with the settings that [`create`] gave it.
-pub(super) fn open(service: &Service, name: &str) -> Result<(Arc<Scene>, Settings), Problem> {
+/// The settings that [`create`] gave a scene, read once in its life; none when they are in a form that is not known.
+pub(super) fn settings(scene: &Scene) -> Option<Arc<Settings>> {
+    scene.settings_as(Settings::from_text)
+}
+
+/// A scene with its settings.
+pub(super) fn open(service: &Service, name: &str) -> Result<(Arc<Scene>, Arc<Settings>), Problem> {
     let scene = service.scene(name)?;
-    let Some(settings) = Settings::from_text(scene.settings()) else {
+    let Some(settings) = settings(&scene) else {
         // A scene that does not run says why by itself; one that runs has settings.
         scene.published()?;
         return Err(Problem::new(

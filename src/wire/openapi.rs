@@ -11,91 +11,10 @@ use utoipa::openapi::{
     ContentBuilder, HeaderBuilder, Object, Ref, RefOr, ResponseBuilder, Type,
     example::ExampleBuilder,
 };
-use utoipa::{Modify, OpenApi, ToSchema};
+use utoipa::{Modify, OpenApi};
 
-use super::convert::{Anchor, Rounding, StockDocument};
-use super::http::{changes, operate, reads, scenes};
+use super::http::{changes, cubes, history, operate, reads, scenes};
 use super::problem::{Code, Kind, ProblemDocument};
-
-/// Settings of a new scene.
-#[derive(ToSchema)]
-#[expect(dead_code, reason = "only its shape is used; `decode` reads it")]
-pub(super) struct SettingsWanted {
-    /// Edge of every cube, in user units. Times `steps_per_unit` a whole number from 1 to 16,777,216.
-    edge: f64,
-    /// Lattice steps in a user unit.
-    #[schema(default = 1000, minimum = 1, maximum = 1_000_000_000)]
-    steps_per_unit: Option<u32>,
-    /// Label of the user unit.
-    #[schema(default = "mm", min_length = 1, max_length = 32)]
-    unit: Option<String>,
-    /// Mass of a cubic user unit.
-    #[schema(default = 1, exclusive_minimum = 0, maximum = 1e200)]
-    density: Option<f64>,
-    /// What `at` names.
-    #[schema(default = "corner")]
-    anchor: Option<Anchor>,
-    /// What becomes of a coordinate between two steps.
-    #[schema(default = "nearest")]
-    rounding: Option<Rounding>,
-    /// The block of material that the cubes are cut from: then the mass properties say what was removed and what remains.
-    stock: Option<StockDocument>,
-}
-
-/// An atomic change: deletions first.
-#[derive(ToSchema)]
-#[expect(dead_code, reason = "only its shape is used; `decode` reads it")]
-pub(super) struct ChangeWanted {
-    /// Ids of the cubes to delete.
-    delete: Option<Vec<u64>>,
-    /// Cubes to insert.
-    insert: Option<Vec<CubeWanted>>,
-    /// The sender's own number of the move or program line that the change belongs to.
-    #[schema(example = 120)]
-    r#move: Option<u64>,
-    /// Machine time of the change, in seconds.
-    #[schema(minimum = 0, maximum = 1_000_000_000, example = 0.25)]
-    duration: Option<f64>,
-}
-
-/// Where to go back to.
-#[derive(ToSchema)]
-#[expect(dead_code, reason = "only its shape is used; `decode` reads it")]
-pub(super) struct RevertWanted {
-    /// The seq whose cubes are wanted again.
-    to: u64,
-}
-
-/// A cube to insert.
-#[derive(ToSchema)]
-#[expect(dead_code, reason = "only its shape is used; `decode` reads it")]
-pub(super) struct CubeWanted {
-    /// The client's own number, unique in the scene. All cubes of a change have one, or none has.
-    id: Option<u64>,
-    /// Lower corner or centre, in user units.
-    at: [f64; 3],
-}
-
-/// One line of a stream: one operation.
-#[derive(ToSchema)]
-#[expect(dead_code, reason = "only its shape is used; `decode` reads it")]
-#[schema(rename_all = "lowercase")]
-pub(super) enum LineWanted {
-    /// Insert a cube.
-    Insert(NamedCube),
-    /// Delete the cube of this id.
-    Delete(u64),
-}
-
-/// A cube to insert, with its id.
-#[derive(ToSchema)]
-#[expect(dead_code, reason = "only its shape is used; `decode` reads it")]
-pub(super) struct NamedCube {
-    /// The client's own number, unique in the scene.
-    id: u64,
-    /// Lower corner or centre, in user units.
-    at: [f64; 3],
-}
 
 #[derive(OpenApi)]
 #[openapi(
@@ -107,12 +26,12 @@ pub(super) struct NamedCube {
     paths(
         scenes::put_scene, scenes::get_scenes, scenes::get_scene, scenes::delete_scene,
         changes::post_changes, changes::post_revert, changes::delete_cube,
-        reads::get_mass_properties, reads::stream_mass_properties, reads::get_history, reads::post_audit,
-        reads::get_cube, reads::get_cubes, reads::get_contains,
+        reads::get_mass_properties, reads::stream_mass_properties, history::get_history, reads::post_audit,
+        cubes::get_cube, cubes::get_cubes, cubes::get_contains,
         operate::get_healthz, operate::get_readyz, operate::get_metrics, operate::get_openapi,
         operate::get_problems, operate::get_problem,
     ),
-    components(schemas(ProblemDocument, CubeWanted, NamedCube)),
+    components(schemas(ProblemDocument)),
     modifiers(&Problems),
     tags(
         (name = "scenes", description = "Sets of equal cubes"),

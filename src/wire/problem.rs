@@ -165,6 +165,11 @@ impl Fault {
         }
     }
 
+    /// Shows what was sent at its place.
+    pub fn show(&mut self, value: &RawValue) {
+        self.value = Some(echo(value.get()));
+    }
+
     /// A fault in a parameter or header.
     pub fn in_parameter(
         parameter: impl Into<Cow<'static, str>>,
@@ -221,11 +226,31 @@ impl Faults {
         self.0.is_empty()
     }
 
-    /// Whether the place `pointer` is at fault already.
-    pub fn names(&self, pointer: &str) -> bool {
-        self.0
-            .iter()
-            .any(|fault| fault.pointer.as_deref() == Some(pointer))
+    /// How many there are.
+    pub fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    /// All of them.
+    pub fn iter(&self) -> std::slice::Iter<'_, Fault> {
+        self.0.iter()
+    }
+
+    /// All of them, to be completed.
+    pub fn iter_mut(&mut self) -> std::slice::IterMut<'_, Fault> {
+        self.0.iter_mut()
+    }
+
+    /// Whether the place `pointer` is at fault already, or one around it or in it.
+    pub fn cover(&self, pointer: &str) -> bool {
+        let within = |inner: &str, outer: &str| {
+            let rest = inner.strip_prefix(outer);
+            rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
+        };
+        let pointers = self.0.iter().filter_map(|fault| fault.pointer.as_deref());
+        pointers
+            .into_iter()
+            .any(|known| within(pointer, known) || within(known, pointer))
     }
 
     /// The faults as one problem.

@@ -2,6 +2,7 @@
 
 mod changes;
 mod description;
+mod golden;
 mod reads;
 mod refusals;
 mod revert;

@@ -4,7 +4,6 @@ use std::collections::VecDeque;
 use std::error::Error;
 use std::time::{Duration, Instant};
 
-use serde_json::{Value, json};
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::transport::{Channel, Endpoint};
@@ -14,12 +13,13 @@ use uuid::Uuid;
 use super::super::client::{SceneWanted, inserted};
 use super::line::{LineChange, Material};
 use super::tally::Cut;
+use union3d::wire::convert;
+use union3d::wire::grpc::Missing;
 use union3d::wire::proto::union_service_client::UnionServiceClient;
 use union3d::wire::proto::{
-    Box as Block, Change, CreateSceneRequest, Detail, ExactMeasures, ExactVector,
-    GetMassPropertiesRequest, InertiaTensor, ListCubesRequest, MassProperties, PartProperties,
+    Box as Block, Change, CreateSceneRequest, Detail, GetMassPropertiesRequest, ListCubesRequest,
     SceneSettings, StreamChangesRequest, StreamChangesResponse, StreamOpening, StreamedChange,
-    Vector, Volumes, stream_changes_request as request, stream_changes_response as response,
+    Volumes, stream_changes_request as request, stream_changes_response as response,
 };
 
 /// Lines sent ahead of their acknowledgements: as many as the server takes in.
@@ -121,14 +121,13 @@ impl GrpcStream {
             server: server.to_owned(),
             status,
         };
-        let vector = |[x, y, z]: [f64; 3]| Some(Vector { x, y, z });
         let settings = SceneSettings {
             edge: wanted.edge,
             steps_per_unit: Some(wanted.steps_per_unit),
             unit: Some(wanted.unit.clone()),
             stock: wanted.stock.map(|stock| Block {
-                min: vector(stock.min),
-                max: vector(stock.max),
+                min: Some(stock.min.into()),
+                max: Some(stock.max.into()),
             }),
             ..SceneSettings::default()
         };
@@ -204,7 +203,7 @@ impl GrpcStream {
     }
 
     /// Waits for all that is in flight, and reads what the scene measures then, as the HTTP API writes it.
-    pub(super) async fn finish(mut self) -> Result<(Vec<Cut>, String), Failure> {
+    pub(super) async fn finish(mut self) -> Result<(Vec<Cut>, convert::MassProperties), Failure> {
         let mut cuts = Vec::new();
         while !self.in_flight.is_empty() {
             cuts.extend(self.acknowledged().await?);
@@ -217,7 +216,9 @@ impl GrpcStream {
         let properties = answer.map_err(|status| self.refused(status))?;
         let properties = properties.into_inner().mass_properties;
         let properties = properties.ok_or_else(|| self.without("mass properties"))?;
-        Ok((cuts, document(&properties).to_string()))
+        let properties = properties.try_into();
+        let properties = properties.map_err(|Missing(name)| self.without(name))?;
+        Ok((cuts, properties))
     }
 
     async fn acknowledged(&mut self) -> Result<Option<Cut>, Failure> {
@@ -347,100 +348,6 @@ fn state_of_volumes(volumes: &Volumes) -> Option<Material> {
     Some(Material {
         removed: removed.unwrap_or(&volumes.exact_union).parse().ok()?,
         area: volumes.exact_area.parse().ok()?,
-    })
-}
-
-/// The mass properties as the HTTP API writes them.
-fn document(properties: &MassProperties) -> Value {
-    let of = properties.clone();
-    let mut document = part(&PartProperties {
-        volume: of.volume,
-        area: of.area,
-        edge_length: of.edge_length,
-        mass: of.mass,
-        mean_curvature: of.mean_curvature,
-        centroid: of.centroid,
-        inertia: of.inertia,
-        euler_characteristic: of.euler_characteristic,
-        vertices: of.vertices,
-        exact: of.exact,
-    });
-    document["scene"] = json!(of.scene);
-    document["seq"] = json!(of.seq);
-    document["cubes"] = json!(of.cubes);
-    document["bounds"] = json!(of.bounds.as_ref().map(|bounds| json!({
-        "min": bounds.min.as_ref().map(vector),
-        "max": bounds.max.as_ref().map(vector),
-    })));
-    for (name, value) in [("removed", &of.removed), ("remaining", &of.remaining)] {
-        if let Some(value) = value {
-            document[name] = part(value);
-        }
-    }
-    document
-}
-
-fn vector(vector: &Vector) -> [f64; 3] {
-    [vector.x, vector.y, vector.z]
-}
-
-fn part(part: &PartProperties) -> Value {
-    let edges = part.edge_length.unwrap_or_default();
-    let vertices = part.vertices.unwrap_or_default();
-    let InertiaTensor {
-        xx,
-        yy,
-        zz,
-        xy,
-        yz,
-        zx,
-    } = part.inertia.unwrap_or_default();
-    json!({
-        "volume": part.volume,
-        "area": part.area,
-        "edge_length": {
-            "total": edges.total,
-            "convex": edges.convex,
-            "concave": edges.concave,
-            "crossing": edges.crossing,
-        },
-        "mass": part.mass,
-        "mean_curvature": part.mean_curvature,
-        "centroid": part.centroid.as_ref().map(vector),
-        "inertia": [[xx, xy, zx], [xy, yy, yz], [zx, yz, zz]],
-        "euler_characteristic": part.euler_characteristic,
-        "vertices": {
-            "total": vertices.total,
-            "corner": vertices.corner,
-            "edge_face": vertices.edge_face,
-            "three_face": vertices.three_face,
-            "degenerate": vertices.degenerate,
-        },
-        "exact": part.exact.as_ref().map(exact),
-    })
-}
-
-fn exact(exact: &ExactMeasures) -> Value {
-    let vector = |vector: &Option<ExactVector>| {
-        let vector = vector.clone().unwrap_or_default();
-        [vector.x, vector.y, vector.z]
-    };
-    let edges = exact.edge_length.clone().unwrap_or_default();
-    let products = exact.product_moments4.clone().unwrap_or_default();
-    json!({
-        "steps_per_unit": exact.steps_per_unit,
-        "volume": exact.volume,
-        "area": exact.area,
-        "area_by_axis": vector(&exact.area_by_axis),
-        "edge_length": {
-            "total": edges.total,
-            "convex": edges.convex,
-            "concave": edges.concave,
-            "crossing": edges.crossing,
-        },
-        "first_moments2": vector(&exact.first_moments2),
-        "second_moments3": vector(&exact.second_moments3),
-        "product_moments4": [products.xy, products.yz, products.zx],
     })
 }
 

@@ -24,7 +24,7 @@ use super::input::{self, Input};
 use super::{Outcome, progress, report};
 use union3d::geometry::Place;
 use union3d::toolpath::{Event, Motion, Move, Moves, Warning};
-use union3d::wire::convert::{self, Anchor, Settings, StockDocument, WantedSettings};
+use union3d::wire::convert::{self, Anchor, Settings, SettingsDocument, StockDocument};
 
 /// Positions nearer to each other than this many lattice steps make no more places, only more work.
 const LATTICE_STEPS_MIN: f64 = 0.01;
@@ -426,14 +426,14 @@ fn listed(lines: &[String]) -> String {
 }
 
 fn settings(args: &Args) -> Result<Settings, Box<dyn std::error::Error>> {
-    let wanted = WantedSettings {
+    let wanted = SettingsDocument {
         steps_per_unit: args.steps_per_unit.into(),
         unit: args.unit.label().to_owned(),
         anchor: Anchor::Center,
         stock: args.stock.map(|[min, max]| StockDocument { min, max }),
-        ..WantedSettings::with_edge(args.edge)
+        ..SettingsDocument::with_edge(args.edge)
     };
-    Ok(Settings::check(wanted).map_err(|faults| input::faults(&faults))?)
+    Ok(Settings::check(&wanted).map_err(|faults| input::faults(&faults))?)
 }
 
 fn write(out: &mut impl Write, place: Place) -> std::io::Result<()> {

@@ -1,7 +1,7 @@
 //! Where the cubes of a program go: into an engine in this process, or to a server.
 
 use serde_json::Value;
-use serde_json::value::RawValue;
+use serde_json::value::{RawValue, to_raw_value};
 use uuid::Uuid;
 
 use super::super::client::{Client, SceneWanted};
@@ -103,12 +103,12 @@ impl Target {
             Self::Engine { engine, .. } => {
                 let totals = engine.totals();
                 let properties = convert::mass_properties(None, None, &totals, settings);
-                (vec![], serde_json::value::to_raw_value(&properties)?)
+                (vec![], to_raw_value(&properties)?)
             }
             Self::Http { client, .. } => (vec![], client.mass_properties().await?),
             Self::Grpc(stream) => {
                 let (cuts, properties) = stream.finish().await?;
-                (cuts, RawValue::from_string(properties)?)
+                (cuts, to_raw_value(&properties)?)
             }
         })
     }

@@ -3,10 +3,8 @@
 use crate::engine::Side;
 use crate::geometry::{CubeId, Place};
 use crate::service::{Applied, HistoryRow, Published, Scene, SceneState};
-use crate::wire::calls::incarnation;
-use crate::wire::convert::{
-    self, Anchor, EdgeLength, Exact, Rounding, Settings, SettingsDocument, Vertices,
-};
+use crate::wire::calls::{self, incarnation};
+use crate::wire::convert::{self, Anchor, Rounding, Settings};
 use crate::wire::problem::{Fault, Problem};
 use crate::wire::proto;
 
@@ -39,10 +37,6 @@ pub(super) fn unknown(field: &'static str, sent: i32) -> Problem {
     .into()
 }
 
-pub(super) fn vector([x, y, z]: [f64; 3]) -> proto::Vector {
-    proto::Vector { x, y, z }
-}
-
 pub(super) fn scene(scene: &Scene) -> proto::Scene {
     let published = scene.published().ok();
     let (state, percent, cause) = match scene.state() {
@@ -55,7 +49,7 @@ pub(super) fn scene(scene: &Scene) -> proto::Scene {
     };
     proto::Scene {
         name: scene.name().as_str().to_owned(),
-        settings: Settings::from_text(scene.settings()).map(|known| settings(known.document())),
+        settings: calls::settings(scene).map(|known| settings(&known)),
         cubes: published.map(|published| published.totals.cubes),
         seq: published.map(|published| published.seq.0),
         incarnation: incarnation(scene),
@@ -65,7 +59,8 @@ pub(super) fn scene(scene: &Scene) -> proto::Scene {
     }
 }
 
-fn settings(document: SettingsDocument) -> proto::SceneSettings {
+fn settings(settings: &Settings) -> proto::SceneSettings {
+    let document = settings.document();
     let anchor = match document.anchor {
         Anchor::Corner => proto::Anchor::Corner,
         Anchor::Center => proto::Anchor::Center,
@@ -76,12 +71,15 @@ fn settings(document: SettingsDocument) -> proto::SceneSettings {
     };
     proto::SceneSettings {
         edge: document.edge,
-        steps_per_unit: Some(document.steps_per_unit),
+        steps_per_unit: Some(settings.steps_per_unit()),
         unit: Some(document.unit),
         density: Some(document.density),
         anchor: anchor.into(),
         rounding: rounding.into(),
-        stock: document.stock.map(|stock| bounding(stock.min, stock.max)),
+        stock: document.stock.map(|stock| proto::Box {
+            min: Some(stock.min.into()),
+            max: Some(stock.max.into()),
+        }),
     }
 }
 
@@ -148,106 +146,16 @@ pub(super) fn mass_properties(
     settings: &Settings,
     published: &Published,
 ) -> proto::MassProperties {
-    let shown = convert::mass_properties(
-        Some(scene.name().as_str()),
-        Some(published.seq.0),
-        &published.totals,
-        settings,
-    );
-    let part = |part: convert::PartProperties| proto::PartProperties {
-        volume: part.volume,
-        area: part.area,
-        edge_length: Some(edge_length(part.edge_length)),
-        mass: part.mass,
-        mean_curvature: part.mean_curvature,
-        centroid: part.centroid.map(vector),
-        inertia: Some(inertia(part.inertia)),
-        euler_characteristic: part.euler_characteristic,
-        vertices: Some(vertices(part.vertices)),
-        exact: Some(exact(part.exact)),
-    };
-    proto::MassProperties {
-        scene: shown.scene.unwrap_or_default(),
-        seq: shown.seq.unwrap_or_default(),
-        cubes: shown.cubes,
-        volume: shown.volume,
-        area: shown.area,
-        edge_length: Some(edge_length(shown.edge_length)),
-        mass: shown.mass,
-        mean_curvature: shown.mean_curvature,
-        centroid: shown.centroid.map(vector),
-        inertia: Some(inertia(shown.inertia)),
-        bounds: shown.bounds.map(|bounds| bounding(bounds.min, bounds.max)),
-        euler_characteristic: shown.euler_characteristic,
-        vertices: Some(vertices(shown.vertices)),
-        exact: Some(exact(shown.exact)),
-        removed: shown.removed.map(part),
-        remaining: shown.remaining.map(part),
-    }
-}
-
-fn bounding(min: [f64; 3], max: [f64; 3]) -> proto::Box {
-    proto::Box {
-        min: Some(vector(min)),
-        max: Some(vector(max)),
-    }
-}
-
-fn edge_length(length: EdgeLength) -> proto::EdgeLength {
-    proto::EdgeLength {
-        total: length.total,
-        convex: length.convex,
-        concave: length.concave,
-        crossing: length.crossing,
-    }
-}
-
-fn inertia([[xx, xy, zx], [_, yy, yz], [_, _, zz]]: [[f64; 3]; 3]) -> proto::InertiaTensor {
-    proto::InertiaTensor {
-        xx,
-        yy,
-        zz,
-        xy,
-        yz,
-        zx,
-    }
-}
-
-fn vertices(vertices: Vertices) -> proto::Vertices {
-    proto::Vertices {
-        total: vertices.total,
-        corner: vertices.corner,
-        edge_face: vertices.edge_face,
-        three_face: vertices.three_face,
-        degenerate: vertices.degenerate,
-    }
-}
-
-fn exact(exact: Exact) -> proto::ExactMeasures {
-    let vector = |[x, y, z]: [String; 3]| Some(proto::ExactVector { x, y, z });
-    let [xy, yz, zx] = exact.product_moments4;
-    proto::ExactMeasures {
-        steps_per_unit: exact.steps_per_unit,
-        volume: exact.volume,
-        area: exact.area,
-        area_by_axis: vector(exact.area_by_axis),
-        edge_length: Some(proto::ExactEdgeLength {
-            total: exact.edge_length.total,
-            convex: exact.edge_length.convex,
-            concave: exact.edge_length.concave,
-            crossing: exact.edge_length.crossing,
-        }),
-        first_moments2: vector(exact.first_moments2),
-        second_moments3: vector(exact.second_moments3),
-        product_moments4: Some(proto::ExactProducts { xy, yz, zx }),
-    }
+    let name = Some(scene.name().as_str());
+    let seq = Some(published.seq.0);
+    convert::mass_properties(name, seq, &published.totals, settings).into()
 }
 
 pub(super) fn cube((id, place): (CubeId, Place), settings: &Settings) -> proto::Cube {
     let [x, y, z] = place.corner();
     proto::Cube {
         id: id.0,
-        at: Some(vector(settings.at(place))),
+        at: Some(settings.at(place).into()),
         x,
         y,
         z,

@@ -6,6 +6,7 @@
 //!   beside it: health (serving once every scene is replayed) and reflection
 //! ```
 
+mod mass_properties;
 mod measure;
 mod messages;
 mod service;
@@ -27,6 +28,7 @@ use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetRequestIdLayer};
 use tower_http::trace::TraceLayer;
 
+pub use self::mass_properties::Missing;
 use self::service::Calls;
 use super::calls;
 use super::http::Limits;

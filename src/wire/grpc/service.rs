@@ -295,7 +295,7 @@ impl UnionService for Calls {
                 seq,
                 side: messages::side(side).into(),
                 cube: cube.map(|cube| messages::cube(cube, &settings)),
-                point: Some(messages::vector(settings.point_user(point))),
+                point: Some(settings.point_user(point).into()),
             })
         })
         .await

@@ -167,7 +167,7 @@ fn end(broken: &Status) -> Status {
 struct Reader {
     inbound: Streaming<StreamChangesRequest>,
     scene: Arc<Scene>,
-    settings: Settings,
+    settings: Arc<Settings>,
     /// There when nothing may be applied after a refused change.
     chain: Option<Chain>,
     cubes_max: usize,

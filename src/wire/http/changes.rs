@@ -8,7 +8,7 @@ use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::request::{self, BodyType, Parameters, Path, body_type, idempotency_key};
+use super::request::{self, BodyType, Parameters, Path, Return, body_type, idempotency_key};
 use super::{App, ndjson, scenes};
 use crate::engine::Op;
 use crate::geometry::CubeId;
@@ -17,11 +17,12 @@ use crate::wire::atomic::{Atomic, Sent};
 use crate::wire::calls;
 use crate::wire::convert::{MassProperties, Settings, mass_properties};
 use crate::wire::decode;
+use crate::wire::documents::{Change, Cube, Id, IdForm, Line, Revert};
 use crate::wire::problem::{Fault, Problem};
 
 /// What a change did.
 #[derive(Serialize, ToSchema)]
-pub(crate) struct Answer {
+pub(crate) struct ChangeAnswer {
     /// The scene's newest change: this one, unless it changed nothing.
     #[schema(example = 5)]
     seq: u64,
@@ -36,7 +37,8 @@ pub(crate) struct Answer {
     unchanged: u64,
     /// The ids that the server gave, in the order of `insert`; left out when it gave none.
     #[serde(skip_serializing_if = "Option::is_none")]
-    assigned: Option<Assigned>,
+    #[schema(nullable = false)]
+    assigned: Option<AssignedIds>,
     /// Volume that it removed from the stock, or added to the union where there is no stock, in user units cubed.
     #[schema(example = 82.41919)]
     volume_removed: f64,
@@ -45,31 +47,46 @@ pub(crate) struct Answer {
     volume_removed_exact: String,
     /// The totals after it; left out with `return=minimal`.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
     mass_properties: Option<MassProperties>,
 }
 
 /// Consecutive ids.
 #[derive(Serialize, ToSchema)]
-pub(crate) struct Assigned {
+pub(crate) struct AssignedIds {
     /// The first.
-    first: u64,
+    first: Id,
     /// The last.
-    last: u64,
+    last: Id,
 }
 
-/// How much of the answer is wanted.
+/// What of the answer is wanted, and how.
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum Return {
-    Minimal,
-    Representation,
+pub(super) struct Wanted {
+    returned: Return,
+    ids: IdForm,
+}
+
+impl Wanted {
+    fn read(parameters: Parameters) -> Result<Self, Problem> {
+        let query = parameters.only(&["return", "ids"])?;
+        Ok(Self {
+            returned: query.returned()?,
+            ids: query.ids()?,
+        })
+    }
+
+    fn id(self, id: CubeId) -> Id {
+        Id { id, form: self.ids }
+    }
 }
 
 pub(super) fn answer(
     scene: &Scene,
     settings: &Settings,
-    wanted: Return,
+    wanted: Wanted,
     applied: &Applied,
-) -> Json<Answer> {
+) -> Json<ChangeAnswer> {
     let Applied {
         published,
         counts,
@@ -79,18 +96,18 @@ pub(super) fn answer(
     } = applied;
     let name = Some(scene.name().as_str());
     let seq = published.seq.0;
-    Json(Answer {
+    Json(ChangeAnswer {
         seq,
         inserted: counts.inserted,
         deleted: counts.deleted,
         unchanged: counts.unchanged,
-        assigned: assigned.map(|(first, last)| Assigned {
-            first: first.0,
-            last: last.0,
+        assigned: assigned.map(|(first, last)| AssignedIds {
+            first: wanted.id(first),
+            last: wanted.id(last),
         }),
         volume_removed: settings.volume_user(*volume_removed),
         volume_removed_exact: volume_removed.to_string(),
-        mass_properties: (wanted == Return::Representation)
+        mass_properties: (wanted.returned == Return::Representation)
             .then(|| mass_properties(name, Some(seq), &published.totals, settings)),
     })
 }
@@ -98,7 +115,7 @@ pub(super) fn answer(
 fn applied_answer(
     scene: &Scene,
     settings: &Settings,
-    wanted: Return,
+    wanted: Wanted,
     applied: &Applied,
 ) -> Response {
     let mut response = answer(scene, settings, wanted, applied).into_response();
@@ -126,17 +143,18 @@ fn applied_answer(
     post, path = "/v1/scenes/{scene}/changes", tag = "changes",
     params(
         ("scene" = String, Path, description = "Name of the scene", example = "pocket"),
-        ("return" = Option<String>, Query, description = "`minimal` leaves `mass_properties` out", example = "minimal"),
+        ("return" = inline(Option<Return>), Query, description = "`minimal` leaves `mass_properties` out", example = "minimal"),
+        ("ids" = inline(Option<IdForm>), Query, description = "`text`: ids are answered as decimal strings, which JavaScript keeps exact above 2^53", example = "text"),
         ("Idempotency-Key" = Option<String>, Header, description = "1 to 64 visible ASCII characters. The answer to the first change with this key is repeated, with `Idempotency-Replayed: true`. Not for streams"),
     ),
     request_body(content(
-        (inline(crate::wire::openapi::ChangeWanted) = "application/json",
+        (Change = "application/json",
             example = json!({"delete": [17], "insert": [{"id": 18, "at": [0, 0, 2.5]}]})),
-        (inline(crate::wire::openapi::LineWanted) = "application/x-ndjson",
+        (inline(Line<Cube>) = "application/x-ndjson",
             example = json!({"insert": {"id": 1, "at": [0, 0, 2.5]}})),
         (Vec<u8> = "application/x-protobuf"),
     )),
-    responses((status = 200, description = "Durable", body = Answer,
+    responses((status = 200, description = "Durable", body = ChangeAnswer,
         headers(("Idempotency-Replayed" = String, description = "`true` when this is the recorded answer to an earlier request"))))
 )]
 pub(super) async fn post_changes(
@@ -146,7 +164,7 @@ pub(super) async fn post_changes(
     headers: HeaderMap,
     body: Body,
 ) -> Result<Response, Problem> {
-    let wanted = returned(parameters.only(&["return"])?.minimal()?);
+    let wanted = Wanted::read(parameters)?;
     let (scene, settings) = scenes::open(&app, &name)?;
     let key = idempotency_key(&headers)?;
     let kind = body_type(
@@ -190,11 +208,12 @@ pub(super) async fn post_changes(
     post, path = "/v1/scenes/{scene}/revert", tag = "changes",
     params(
         ("scene" = String, Path, description = "Name of the scene", example = "pocket"),
-        ("return" = Option<String>, Query, description = "`minimal` leaves `mass_properties` out", example = "minimal"),
+        ("return" = inline(Option<Return>), Query, description = "`minimal` leaves `mass_properties` out", example = "minimal"),
+        ("ids" = inline(Option<IdForm>), Query, description = "`text`: ids are answered as decimal strings, which JavaScript keeps exact above 2^53", example = "text"),
         ("Idempotency-Key" = Option<String>, Header, description = "As of a change"),
     ),
-    request_body(content((inline(crate::wire::openapi::RevertWanted) = "application/json", example = json!({"to": 3})))),
-    responses((status = 200, description = "Durable", body = Answer,
+    request_body(content((Revert = "application/json", example = json!({"to": 3})))),
+    responses((status = 200, description = "Durable", body = ChangeAnswer,
         headers(("Idempotency-Replayed" = String, description = "`true` when this is the recorded answer to an earlier request"))))
 )]
 pub(super) async fn post_revert(
@@ -204,7 +223,7 @@ pub(super) async fn post_revert(
     headers: HeaderMap,
     body: Body,
 ) -> Result<Response, Problem> {
-    let wanted = returned(parameters.only(&["return"])?.minimal()?);
+    let wanted = Wanted::read(parameters)?;
     let (scene, settings) = scenes::open(&app, &name)?;
     let key = idempotency_key(&headers)?;
     body_type(&headers, &[BodyType::Json])?;
@@ -222,16 +241,17 @@ pub(super) async fn post_revert(
     params(
         ("scene" = String, Path, description = "Name of the scene", example = "pocket"),
         ("id" = u64, Path, description = "The cube's id", example = 17),
-        ("return" = Option<String>, Query, description = "`minimal` leaves `mass_properties` out", example = "minimal"),
+        ("return" = inline(Option<Return>), Query, description = "`minimal` leaves `mass_properties` out", example = "minimal"),
+        ("ids" = inline(Option<IdForm>), Query, description = "`text`: ids are answered as decimal strings, which JavaScript keeps exact above 2^53", example = "text"),
     ),
-    responses((status = 200, description = "Durable", body = Answer))
+    responses((status = 200, description = "Durable", body = ChangeAnswer))
 )]
 pub(super) async fn delete_cube(
     State(app): State<App>,
     Path((name, id)): Path<(String, String)>,
     parameters: Parameters,
-) -> Result<Json<Answer>, Problem> {
-    let wanted = returned(parameters.only(&["return"])?.minimal()?);
+) -> Result<Json<ChangeAnswer>, Problem> {
+    let wanted = Wanted::read(parameters)?;
     let id = CubeId(request::whole("id", &id)?);
     let (scene, settings) = scenes::open(&app, &name)?;
     let submission = Submission {
@@ -242,12 +262,4 @@ pub(super) async fn delete_cube(
     };
     let applied = scene.change(submission).await?;
     Ok(answer(&scene, &settings, wanted, &applied))
-}
-
-fn returned(minimal: bool) -> Return {
-    if minimal {
-        Return::Minimal
-    } else {
-        Return::Representation
-    }
 }

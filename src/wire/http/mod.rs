@@ -5,7 +5,9 @@
 //! ```
 
 pub(in crate::wire) mod changes;
+pub(in crate::wire) mod cubes;
 mod drain;
+pub(in crate::wire) mod history;
 mod ndjson;
 pub(in crate::wire) mod operate;
 pub(in crate::wire) mod reads;
@@ -72,8 +74,10 @@ type Route = (&'static str, MethodRouter<App>);
 
 /// Calls that are answered soon or not at all.
 fn bounded_routes() -> Vec<Route> {
+    use cubes::{get_contains, get_cube, get_cubes};
+    use history::get_history;
     use operate::{get_healthz, get_metrics, get_openapi, get_problem, get_problems, get_readyz};
-    use reads::{get_contains, get_cube, get_cubes, get_history, get_mass_properties};
+    use reads::get_mass_properties;
     use scenes::{delete_scene, get_scene, get_scenes, put_scene};
     vec![
         ("/v1/scenes", get(get_scenes)),

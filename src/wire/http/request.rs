@@ -8,12 +8,17 @@ use axum::body::{Body, Bytes};
 use axum::extract::rejection::PathRejection;
 use axum::extract::{FromRequestParts, Query};
 use axum::http::request::Parts;
-use axum::http::{HeaderMap, header};
+use axum::http::{HeaderMap, HeaderValue, header};
 use futures_util::StreamExt;
+use headers::HeaderMapExt;
+use headers_accept::Accept;
+use mediatype::MediaType;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use utoipa::ToSchema;
 
 use super::Limits;
 use crate::wire::calls;
+use crate::wire::documents::IdForm;
 use crate::wire::problem::{Code, Fault, Faults, Problem};
 
 /// Parameters of the path.
@@ -93,11 +98,23 @@ impl Known {
         }
     }
 
-    /// Whether `return=minimal` is asked for.
-    pub(super) fn minimal(&self) -> Result<bool, Problem> {
+    /// How ids are to be answered.
+    pub(super) fn ids(&self) -> Result<IdForm, Problem> {
+        match self.text("ids") {
+            None | Some("number") => Ok(IdForm::Number),
+            Some("text") => Ok(IdForm::Text),
+            Some(other) => {
+                let detail = "is neither \"number\" nor \"text\"";
+                Err(Fault::in_parameter("ids", detail, other).into())
+            }
+        }
+    }
+
+    /// How much is to be answered.
+    pub(super) fn returned(&self) -> Result<Return, Problem> {
         match self.text("return") {
-            None | Some("representation") => Ok(false),
-            Some("minimal") => Ok(true),
+            None | Some("representation") => Ok(Return::Representation),
+            Some("minimal") => Ok(Return::Minimal),
             Some(other) => Err(Fault::in_parameter(
                 "return",
                 "is neither \"minimal\" nor \"representation\"",
@@ -106,6 +123,16 @@ impl Known {
             .into()),
         }
     }
+}
+
+/// How much is answered to a change.
+#[derive(Clone, Copy, PartialEq, Eq, ToSchema)]
+#[schema(rename_all = "lowercase")]
+pub(in crate::wire) enum Return {
+    /// What it did.
+    Minimal,
+    /// Also the totals after it.
+    Representation,
 }
 
 /// A number in a parameter.
@@ -129,6 +156,7 @@ pub(super) enum BodyType {
     Json,
     Ndjson,
     Protobuf,
+    Csv,
 }
 
 impl BodyType {
@@ -137,7 +165,20 @@ impl BodyType {
             Self::Json => "application/json",
             Self::Ndjson => "application/x-ndjson",
             Self::Protobuf => "application/x-protobuf",
+            Self::Csv => "text/csv",
         }
+    }
+
+    fn media_type(self) -> MediaType<'static> {
+        MediaType::parse(self.name()).expect("these are names of types")
+    }
+
+    /// The `Content-Type` of an answer.
+    pub(super) fn value(self) -> HeaderValue {
+        HeaderValue::from_static(match self {
+            Self::Csv => "text/csv; charset=utf-8",
+            other => other.name(),
+        })
     }
 }
 
@@ -168,21 +209,18 @@ pub(super) fn body_type(headers: &HeaderMap, taken: &[BodyType]) -> Result<BodyT
         .ok_or_else(|| refuse(format!("Content-Type is {given:?}").into()))
 }
 
-/// Whether the client would rather have lines of JSON.
-pub(super) fn accepts_ndjson(headers: &HeaderMap) -> bool {
-    accepts(headers, BodyType::Ndjson.name())
+/// Which of the types that can be answered the client prefers; the first when it does not say, or takes none of them.
+pub(super) fn preferred(headers: &HeaderMap, offered: &[BodyType]) -> BodyType {
+    let accept: Option<Accept> = headers.typed_get();
+    let types: Vec<_> = offered.iter().map(|one| one.media_type()).collect();
+    let found = accept.as_ref().and_then(|accept| accept.negotiate(&types));
+    let chosen = found.and_then(|found| offered.iter().find(|one| one.media_type() == *found));
+    chosen.copied().unwrap_or(offered[0])
 }
 
-/// Whether the client names this type.
-pub(super) fn accepts(headers: &HeaderMap, kind: &str) -> bool {
-    headers
-        .get_all(header::ACCEPT)
-        .iter()
-        .filter_map(|value| value.to_str().ok())
-        .flat_map(|value| value.split(','))
-        .filter_map(|range| range.split(';').next())
-        .any(|essence| essence.trim().eq_ignore_ascii_case(kind))
-}
+/// What is said of an answer whose type depends on the request.
+pub(super) const VARY: [(header::HeaderName, HeaderValue); 1] =
+    [(header::VARY, HeaderValue::from_static("accept"))];
 
 /// The header `Idempotency-Key`, if there is one.
 pub(super) fn idempotency_key(headers: &HeaderMap) -> Result<Option<Box<str>>, Problem> {

@@ -79,7 +79,7 @@ fn document(scene: &Scene) -> SceneDocument {
     };
     SceneDocument {
         name: scene.name().as_str().to_owned(),
-        settings: Settings::from_text(scene.settings()).map(|settings| settings.document()),
+        settings: calls::settings(scene).map(|settings| settings.document()),
         cubes: published.map(|published| published.totals.cubes),
         seq: published.map(|published| published.seq.0),
         incarnation: incarnation(scene),
@@ -90,7 +90,7 @@ fn document(scene: &Scene) -> SceneDocument {
 }
 
 /// A scene with the settings that this module gave it.
-pub(super) fn open(app: &App, name: &str) -> Result<(Arc<Scene>, Settings), Problem> {
+pub(super) fn open(app: &App, name: &str) -> Result<(Arc<Scene>, Arc<Settings>), Problem> {
     calls::open(&app.service, name)
 }
 
@@ -100,7 +100,7 @@ pub(super) fn open(app: &App, name: &str) -> Result<(Arc<Scene>, Settings), Prob
 #[utoipa::path(
     put, path = "/v1/scenes/{scene}", tag = "scenes",
     params(("scene" = String, Path, description = "Name: `[a-z0-9][a-z0-9._-]{0,62}`", example = "pocket")),
-    request_body(content = inline(crate::wire::openapi::SettingsWanted), content_type = "application/json",
+    request_body(content = SettingsDocument, content_type = "application/json",
         example = json!({"edge": 6, "steps_per_unit": 1000, "unit": "mm", "density": 1, "anchor": "corner", "rounding": "nearest"})),
     responses(
         (status = 201, description = "Created", body = SceneDocument),

@@ -1,0 +1,213 @@
+//! Reading cubes: one, a page, all; and which of them hold a point.
+
+use std::convert::Infallible;
+use std::sync::Arc;
+
+use axum::Json;
+use axum::body::{Body, Bytes};
+use axum::extract::State;
+use axum::http::{HeaderMap, header};
+use axum::response::{IntoResponse, Response};
+use headers::HeaderMapExt;
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use super::reads::entity_tag;
+use super::request::{BodyType, Known, Parameters, Path, VARY, preferred, whole};
+use super::{App, scenes};
+use crate::engine::{Cursor, Side};
+use crate::geometry::CubeId;
+use crate::service::Scene;
+use crate::wire::calls;
+use crate::wire::convert::Settings;
+use crate::wire::documents::{Cube, IdForm, Line};
+use crate::wire::problem::{Fault, Problem};
+
+const PAGE_LIMIT: usize = 1_000;
+const PAGE_LIMIT_MAX: usize = 100_000;
+
+/// Cubes that are turned into text at once when all are listed.
+const LISTED_CUBES: usize = 1_024;
+
+/// Get a cube
+#[utoipa::path(
+    get, path = "/v1/scenes/{scene}/cubes/{id}", tag = "cubes",
+    params(
+        ("scene" = String, Path, description = "Name of the scene", example = "pocket"),
+        ("id" = u64, Path, description = "The cube's id", example = 18),
+        ("ids" = inline(Option<IdForm>), Query, description = "`text`: ids are answered as decimal strings, which JavaScript keeps exact above 2^53", example = "text"),
+    ),
+    responses((status = 200, description = "The cube", body = Cube))
+)]
+pub(super) async fn get_cube(
+    State(app): State<App>,
+    Path((name, id)): Path<(String, String)>,
+    parameters: Parameters,
+) -> Result<Json<Cube>, Problem> {
+    let ids = parameters.only(&["ids"])?.ids()?;
+    let id = CubeId(whole("id", &id)?);
+    let (scene, settings) = scenes::open(&app, &name)?;
+    let place = calls::cube(&scene, id).await?;
+    Ok(Json(Cube::new((id, place), ids, &settings)))
+}
+
+/// Some cubes of a scene.
+#[derive(Serialize, ToSchema)]
+pub(crate) struct CubePage {
+    /// In an order that is fixed by their ids.
+    cubes: Vec<Cube>,
+    /// What to give as `after` for the next page; null when this is the last.
+    next: Option<String>,
+}
+
+/// List the cubes
+///
+/// A page at a time, or with `Accept: application/x-ndjson` all as of one seq, each a line that can be posted back. A cube that is
+/// there during the whole listing is listed exactly once, whatever changes meanwhile.
+#[utoipa::path(
+    get, path = "/v1/scenes/{scene}/cubes", tag = "cubes",
+    params(
+        ("scene" = String, Path, description = "Name of the scene", example = "pocket"),
+        ("after" = Option<String>, Query, description = "`next` of the page before"),
+        ("ids" = inline(Option<IdForm>), Query, description = "`text`: ids are answered as decimal strings, which JavaScript keeps exact above 2^53", example = "text"),
+        ("limit" = Option<usize>, Query, minimum = 1, maximum = 100_000, description = "Most cubes in the answer, 1 to 100,000; 1,000 if left out"),
+        ("Accept" = Option<String>, Header, description = "`application/x-ndjson` for all cubes as lines; then without `after` and `limit`"),
+    ),
+    responses((status = 200, description = "Cubes", content(
+        (CubePage = "application/json"),
+        (inline(Line<Cube>) = "application/x-ndjson", example = json!({"insert": {"id": 1, "at": [0.0, 0.0, 2.5]}})),
+    )))
+)]
+pub(super) async fn get_cubes(
+    State(app): State<App>,
+    Path(name): Path<String>,
+    parameters: Parameters,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    if preferred(&headers, &[BodyType::Json, BodyType::Ndjson]) == BodyType::Ndjson {
+        let ids = parameters.only(&["ids"])?.ids()?;
+        let (scene, settings) = scenes::open(&app, &name)?;
+        return Ok((VARY, all_cubes(&scene, settings, ids).await?).into_response());
+    }
+    let query = parameters.only(&["after", "limit", "ids"])?;
+    let ids = query.ids()?;
+    let limit = query.limit(PAGE_LIMIT, PAGE_LIMIT_MAX)?;
+    let after = cursor(&query)?;
+    let (scene, settings) = scenes::open(&app, &name)?;
+    let (cubes, next) = scene.page(after, limit).await?;
+    let cubes = cubes.into_iter();
+    let page = CubePage {
+        cubes: cubes.map(|cube| Cube::new(cube, ids, &settings)).collect(),
+        next: next.map(|Cursor(position)| format!("{CURSOR_MARK}{position:016x}")),
+    };
+    Ok((VARY, Json(page)).into_response())
+}
+
+/// What our cursors begin with. Were their meaning to change, old ones would be refused by this letter.
+const CURSOR_MARK: &str = "a";
+
+fn cursor(query: &Known) -> Result<Option<Cursor>, Problem> {
+    let Some(text) = query.text("after") else {
+        return Ok(None);
+    };
+    let digits = text.strip_prefix(CURSOR_MARK).unwrap_or_default();
+    match u64::from_str_radix(digits, 16) {
+        Ok(position) if digits.len() == 16 => Ok(Some(Cursor(position))),
+        _ => Err(Fault::in_parameter("after", "is not `next` of a page", text).into()),
+    }
+}
+
+/// All cubes as lines that can be posted to `changes`.
+async fn all_cubes(
+    scene: &Scene,
+    settings: Arc<Settings>,
+    ids: IdForm,
+) -> Result<Response, Problem> {
+    let (seq, cubes) = scene.cubes().await?;
+    let lines = async_stream::stream! {
+        for cubes in cubes.chunks(LISTED_CUBES) {
+            let mut text = Vec::with_capacity(cubes.len() * 64);
+            for cube in cubes {
+                let line = Line::Insert(Cube::new(*cube, ids, &settings));
+                serde_json::to_writer(&mut text, &line).expect("numbers and strings are JSON");
+                text.push(b'\n');
+            }
+            yield Ok::<_, Infallible>(Bytes::from(text));
+        }
+    };
+    let mut headers = HeaderMap::new();
+    headers.insert(header::CONTENT_TYPE, BodyType::Ndjson.value());
+    headers.typed_insert(entity_tag(scene, seq));
+    Ok((headers, Body::from_stream(lines)).into_response())
+}
+
+/// Where a point lies.
+#[derive(Serialize, ToSchema)]
+pub(crate) struct Containment {
+    /// The change that this is as of.
+    seq: u64,
+    /// Where the point lies.
+    side: SideName,
+    /// A cube that holds it, its faces included; null when there is none.
+    cube: Option<Cube>,
+    /// The lattice point that was asked about, in user units.
+    point: [f64; 3],
+}
+
+/// Where a point lies.
+#[derive(Serialize, ToSchema)]
+#[schema(as = Side)]
+#[serde(rename_all = "lowercase")]
+enum SideName {
+    /// In the interior of the union.
+    Inside,
+    /// On its boundary.
+    Boundary,
+    /// Outside.
+    Outside,
+}
+
+/// Ask where a point lies
+///
+/// The point is rounded to the lattice as the scene's settings say.
+#[utoipa::path(
+    get, path = "/v1/scenes/{scene}/contains", tag = "cubes",
+    params(
+        ("scene" = String, Path, description = "Name of the scene", example = "pocket"),
+        ("at" = String, Query, description = "`x,y,z` in user units", example = "1.5,2,0"),
+        ("ids" = inline(Option<IdForm>), Query, description = "`text`: ids are answered as decimal strings, which JavaScript keeps exact above 2^53", example = "text"),
+    ),
+    responses((status = 200, description = "Where it lies", body = Containment))
+)]
+pub(super) async fn get_contains(
+    State(app): State<App>,
+    Path(name): Path<String>,
+    parameters: Parameters,
+) -> Result<Json<Containment>, Problem> {
+    let query = parameters.only(&["at", "ids"])?;
+    let ids = query.ids()?;
+    let (scene, settings) = scenes::open(&app, &name)?;
+    let point = point(query.text("at"), &settings)?;
+    let (seq, side, cube) = scene.contains(point).await?;
+    Ok(Json(Containment {
+        seq: seq.0,
+        side: match side {
+            Side::Inside => SideName::Inside,
+            Side::Boundary => SideName::Boundary,
+            Side::Outside => SideName::Outside,
+        },
+        cube: cube.map(|cube| Cube::new(cube, ids, &settings)),
+        point: settings.point_user(point),
+    }))
+}
+
+/// The lattice point of `x,y,z`.
+fn point(text: Option<&str>, settings: &Settings) -> Result<[i32; 3], Problem> {
+    let text = text.unwrap_or_default();
+    let numbers = text.split(',').map(|number| number.trim().parse().ok());
+    let numbers: Option<Vec<f64>> = numbers.collect();
+    match numbers.and_then(|numbers| <[f64; 3]>::try_from(numbers).ok()) {
+        Some(at) => calls::point(at, text, settings),
+        None => Err(Fault::in_parameter("at", calls::NO_POINT, text).into()),
+    }
+}
