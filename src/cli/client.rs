@@ -44,7 +44,7 @@ pub(crate) enum Failure {
     #[error(
         "cannot make sense of the answer of {url}: {cause} (is this a union3d server of the same version?)"
     )]
-    Answer { url: Url, cause: String },
+    Unreadable { url: Url, cause: String },
 }
 
 /// What the scene must be like for these cubes.
@@ -144,7 +144,7 @@ impl Client {
     pub(crate) async fn mass_properties(&self) -> Result<Box<RawValue>, Failure> {
         let url = self.below("mass-properties");
         let text = self.ask(self.http.get(url.clone())).await?;
-        RawValue::from_string(text).map_err(|error| Failure::Answer {
+        RawValue::from_string(text).map_err(|error| Failure::Unreadable {
             url,
             cause: error.to_string(),
         })
@@ -201,7 +201,7 @@ impl Client {
             .get(url.clone())
             .header(header::ACCEPT, "application/x-ndjson");
         let mut answer = self.send(request).await?;
-        let unreadable = |cause: String| Failure::Answer {
+        let unreadable = |cause: String| Failure::Unreadable {
             url: url.clone(),
             cause,
         };
@@ -243,7 +243,7 @@ impl Client {
     async fn ask(&self, request: reqwest::RequestBuilder) -> Result<String, Failure> {
         let answer = self.send(request).await?;
         let url = answer.url().clone();
-        answer.text().await.map_err(|error| Failure::Answer {
+        answer.text().await.map_err(|error| Failure::Unreadable {
             url,
             cause: causes(&error),
         })
@@ -298,7 +298,7 @@ pub(crate) fn inserted(first_id: u64, places: &[Place]) -> Change {
 }
 
 fn parse(url: &Url, text: &str) -> Result<Value, Failure> {
-    serde_json::from_str(text).map_err(|error| Failure::Answer {
+    serde_json::from_str(text).map_err(|error| Failure::Unreadable {
         url: url.clone(),
         cause: error.to_string(),
     })

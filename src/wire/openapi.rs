@@ -5,7 +5,7 @@
 use std::collections::BTreeMap;
 use std::sync::OnceLock;
 
-use serde_json::json;
+use serde_json::{Map, Value, json};
 use utoipa::openapi::path::Operation;
 use utoipa::openapi::{
     ContentBuilder, HeaderBuilder, Object, Ref, RefOr, ResponseBuilder, Type,
@@ -47,11 +47,102 @@ struct Description;
 pub(super) fn text() -> &'static str {
     static TEXT: OnceLock<String> = OnceLock::new();
     TEXT.get_or_init(|| {
-        let description = Description::openapi();
-        description
-            .to_pretty_json()
-            .expect("a description has only strings for keys")
+        let description = serde_json::to_value(Description::openapi());
+        let mut description = description.expect("a description has only strings for keys");
+        flatten_schemas(&mut description);
+        complete(&mut description);
+        serde_json::to_string_pretty(&description).expect("it was JSON before")
     })
+}
+
+/// Makes one object of every schema that has parts flattened into it.
+///
+/// Left as `allOf`, a part that is closed (`additionalProperties: false`, as bodies have it) would refuse the members of the whole.
+fn flatten_schemas(description: &mut Value) {
+    let Some(schemas) = description.pointer_mut("/components/schemas") else {
+        return;
+    };
+    let before = schemas.clone();
+    for schema in schemas
+        .as_object_mut()
+        .into_iter()
+        .flat_map(Map::values_mut)
+    {
+        if let Some(whole) = flattened(schema, &before) {
+            *schema = whole;
+        }
+    }
+}
+
+/// One object for the parts of a schema; none when it has no parts.
+fn flattened(schema: &Value, schemas: &Value) -> Option<Value> {
+    let parts = schema.get("allOf")?.as_array()?;
+    let mut whole = schema.clone();
+    let (mut properties, mut required) = (Map::new(), Vec::new());
+    for part in parts {
+        // A part that may be left out as a whole is a choice of null and the part.
+        let choice = part.get("oneOf").and_then(Value::as_array);
+        let optional = choice.is_some();
+        let part = choice.and_then(|choice| choice.last()).unwrap_or(part);
+        let part = referred(part, schemas);
+        let inner = flattened(part, schemas);
+        let part = inner.as_ref().unwrap_or(part);
+        let members = part["properties"].as_object().cloned();
+        properties.extend(members.unwrap_or_default());
+        if !optional {
+            required.extend(part["required"].as_array().cloned().unwrap_or_default());
+        }
+    }
+    let object = whole.as_object_mut()?;
+    object.remove("allOf");
+    object.insert("type".to_owned(), "object".into());
+    object.insert("properties".to_owned(), properties.into());
+    object.insert("required".to_owned(), required.into());
+    Some(whole)
+}
+
+/// What a schema refers to, or itself.
+fn referred<'a>(schema: &'a Value, schemas: &'a Value) -> &'a Value {
+    let name = schema["$ref"].as_str();
+    let name = name.and_then(|path| path.strip_prefix("#/components/schemas/"));
+    name.map_or(schema, |name| &schemas[name])
+}
+
+/// What parameters of these names look like.
+const PATTERNS: [(&str, &str); 4] = [
+    ("scene", "^[a-z0-9][a-z0-9._-]{0,62}$"),
+    ("after", "^a[0-9a-f]{16}$"),
+    ("Idempotency-Key", "^[!-~]{1,64}$"),
+    (
+        "If-None-Match",
+        r#"^\*$|^(W/)?"[!#-~]*"(, *(W/)?"[!#-~]*")*$"#,
+    ),
+];
+
+/// Says what the types alone do not: how large whole numbers may be, and what parameters look like.
+fn complete(value: &mut Value) {
+    match value {
+        Value::Object(members) => {
+            let whole = members.get("type").is_some_and(|kind| kind == "integer");
+            let wide = members
+                .get("format")
+                .is_some_and(|format| format == "int64");
+            if whole && wide && members.get("minimum") == Some(&json!(0)) {
+                members.insert("format".to_owned(), "uint64".into());
+                members.insert("maximum".to_owned(), u64::MAX.into());
+            }
+            let name = members.get("name").and_then(Value::as_str);
+            let pattern = PATTERNS.iter().find(|(known, _)| Some(*known) == name);
+            if let Some((_, pattern)) = pattern
+                && let Some(schema) = members.get_mut("schema")
+            {
+                schema["pattern"] = (*pattern).into();
+            }
+            members.values_mut().for_each(complete);
+        }
+        Value::Array(values) => values.iter_mut().for_each(complete),
+        _ => {}
+    }
 }
 
 /// What a call may fail with, besides [`EVERY_CALL`] and, where a scene must answer, [`EVERY_SCENE`].

@@ -12,6 +12,7 @@ use serde::Serialize;
 use serde_json::{Map, Value, value::RawValue};
 use utoipa::ToSchema;
 
+use super::documents::{Id, IdForm};
 use crate::service::ServiceError;
 
 /// Most faults that one answer names.
@@ -137,16 +138,18 @@ pub struct Fault {
     /// Where in the body: an RFC 6901 JSON pointer.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(example = "/insert/3/at/1")]
+    #[schema(nullable = false)]
     pub pointer: Option<String>,
     /// Where else: the name of a path or query parameter, or of a header.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
     pub parameter: Option<Cow<'static, str>>,
     /// What is wrong with it.
     #[schema(example = "is not a number")]
     pub detail: Cow<'static, str>,
     /// What was sent there; as text where it is no JSON number or very long.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<Object>)]
+    #[schema(value_type = Value)]
     pub value: Option<Value>,
 }
 
@@ -326,6 +329,32 @@ impl Problem {
         self
     }
 
+    /// Writes the ids in it as the client has asked for them: that of a conflict, and those at fault.
+    #[must_use]
+    pub fn with_ids(mut self, form: IdForm) -> Self {
+        if form == IdForm::Number {
+            return self;
+        }
+        let as_text = |value: &mut Value| {
+            if let Value::Number(number) = value {
+                *value = Value::String(number.to_string());
+            }
+        };
+        self.0.members.get_mut("id").into_iter().for_each(as_text);
+        for fault in &mut self.0.faults {
+            let place = fault.pointer.as_deref().unwrap_or_default();
+            let is_id = place.ends_with("/id")
+                || place.starts_with("/delete")
+                || place.starts_with("/insert_id/");
+            match &mut fault.value {
+                Some(Value::Object(cube)) => cube.get_mut("id").into_iter().for_each(as_text),
+                Some(value) if is_id => as_text(value),
+                _ => {}
+            }
+        }
+        self
+    }
+
     /// Which type it is.
     pub fn code(&self) -> Code {
         self.0.code
@@ -452,29 +481,42 @@ pub struct ProblemDocument {
     /// What is particular to this occurrence.
     detail: String,
     /// The first hundred faults of the request.
+    #[schema(nullable = false)]
     errors: Option<Vec<Fault>>,
     /// Line of the body (or of the stream) where reading stopped, from 1.
+    #[schema(nullable = false)]
     line: Option<u64>,
     /// Column in that line, from 1.
+    #[schema(nullable = false)]
     column: Option<u64>,
     /// Lines from the stream's beginning that are committed.
+    #[schema(nullable = false)]
     committed_lines: Option<u64>,
     /// The scene's seq after what was committed; of an audit, the seq it is as of.
+    #[schema(nullable = false)]
     seq: Option<u64>,
     /// How far the replay is, 0 to 100.
+    #[schema(nullable = false)]
     percent: Option<u8>,
     /// Why the scene does not answer.
+    #[schema(nullable = false)]
     cause: Option<String>,
     /// The id in conflict.
-    id: Option<u64>,
+    #[schema(nullable = false)]
+    id: Option<Id>,
     /// Oldest seq that is kept.
+    #[schema(nullable = false)]
     oldest: Option<u64>,
     /// Newest seq there is.
+    #[schema(nullable = false)]
     newest: Option<u64>,
     /// The settings that the scene has.
+    #[schema(nullable = false)]
     settings: Option<super::convert::SettingsDocument>,
     /// The totals that the scene answers with.
+    #[schema(nullable = false)]
     kept: Option<super::convert::MassProperties>,
     /// The totals of its cubes, recounted.
+    #[schema(nullable = false)]
     recounted: Option<super::convert::MassProperties>,
 }

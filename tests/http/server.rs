@@ -10,6 +10,8 @@ use tempfile::TempDir;
 use union3d::service::{FailHook, Readiness, Service, ServiceConfig};
 use union3d::wire::http::{Limits, router};
 
+use crate::described;
+
 pub(crate) const JSON: &str = "application/json";
 pub(crate) const NDJSON: &str = "application/x-ndjson";
 pub(crate) const PROTOBUF: &str = "application/x-protobuf";
@@ -113,13 +115,19 @@ impl Server {
     }
 }
 
+/// Sends a request. Whatever is answered must be what the description of the API says.
 pub(crate) async fn send(request: RequestBuilder) -> Answer {
-    let response = request.send().await.unwrap();
-    Answer {
+    let (client, request) = request.build_split();
+    let request = request.unwrap();
+    let (method, url) = (request.method().clone(), request.url().clone());
+    let response = client.execute(request).await.unwrap();
+    let answer = Answer {
         status: response.status().as_u16(),
         headers: response.headers().clone(),
         text: response.text().await.unwrap(),
-    }
+    };
+    described::check(&client, &method, &url, &answer).await;
+    answer
 }
 
 impl Answer {

@@ -46,7 +46,7 @@ pub(crate) enum Failure {
     Refused { server: String, status: Status },
     /// Its answer cannot be read.
     #[error("{server} answers without {0} (is it of the same version?)", missing)]
-    Answer {
+    Unreadable {
         server: String,
         missing: &'static str,
     },
@@ -300,7 +300,7 @@ impl GrpcStream {
     }
 
     fn without(&self, missing: &'static str) -> Failure {
-        Failure::Answer {
+        Failure::Unreadable {
             server: self.server.clone(),
             missing,
         }

@@ -41,8 +41,6 @@ pub(super) const WINDOW_CHANGES_MAX: u32 = 256;
 /// Where in a request the places of faults are.
 const BODY: &str = "change";
 
-type Answer = StreamChangesResponse;
-
 /// What has come of one message.
 enum Done {
     /// A change, with the client's number of it.
@@ -57,7 +55,7 @@ pub(super) async fn open(
     limits: Limits,
     draining: CancellationToken,
     mut inbound: Streaming<StreamChangesRequest>,
-) -> Result<impl Stream<Item = Result<Answer, Status>> + Send + 'static, Status> {
+) -> Result<impl Stream<Item = Result<StreamChangesResponse, Status>> + Send + 'static, Status> {
     let opening = timeout(limits.request_timeout, inbound.message()).await;
     let opening = opening
         .map_err(|_| Problem::new(Code::RequestTimeout, "the stream was never opened"))
@@ -136,8 +134,8 @@ pub(super) async fn open(
     })
 }
 
-fn answer(message: response::Message) -> Answer {
-    Answer {
+fn answer(message: response::Message) -> StreamChangesResponse {
+    StreamChangesResponse {
         message: Some(message),
     }
 }

@@ -178,7 +178,8 @@ pub(super) async fn post_changes(
             return Err(Fault::in_parameter("Idempotency-Key", detail, &key).into());
         }
         let idle_max = app.limits.request_timeout;
-        let applied = ndjson::apply(&scene, &settings, body, idle_max).await?;
+        let applied = ndjson::apply(&scene, &settings, body, idle_max).await;
+        let applied = applied.map_err(|problem| problem.with_ids(wanted.ids))?;
         return Ok(answer(&scene, &settings, wanted, &applied).into_response());
     }
     // The room that it takes is given back when it is answered.
@@ -190,7 +191,8 @@ pub(super) async fn post_changes(
     };
     let (time, cubes_max) = (app.limits.request_timeout, app.limits.change_cubes_max);
     let change = Atomic::new(scene, settings, sent, cubes_max);
-    let applied = calls::within(time, change.apply(key)).await?;
+    let applied = calls::within(time, change.apply(key)).await;
+    let applied = applied.map_err(|problem| problem.with_ids(wanted.ids))?;
     Ok(applied_answer(
         &change.scene,
         &change.settings,

@@ -23,8 +23,9 @@ use crate::wire::convert::Settings;
 use crate::wire::documents::{Cube, IdForm, Line};
 use crate::wire::problem::{Fault, Problem};
 
-const PAGE_LIMIT: usize = 1_000;
-const PAGE_LIMIT_MAX: usize = 100_000;
+/// Cubes of a page when no limit is given, and the most that it holds.
+const PAGE_LIMIT: u64 = 1_000;
+const PAGE_LIMIT_MAX: u64 = 100_000;
 
 /// Cubes that are turned into text at once when all are listed.
 const LISTED_CUBES: usize = 1_024;
@@ -91,7 +92,8 @@ pub(super) async fn get_cubes(
     }
     let query = parameters.only(&["after", "limit", "ids"])?;
     let ids = query.ids()?;
-    let limit = query.limit(PAGE_LIMIT, PAGE_LIMIT_MAX)?;
+    let limit = query.limit(PAGE_LIMIT_MAX)?.unwrap_or(PAGE_LIMIT);
+    let limit = usize::try_from(limit).expect("it is at most 100,000");
     let after = cursor(&query)?;
     let (scene, settings) = scenes::open(&app, &name)?;
     let (cubes, next) = scene.page(after, limit).await?;
@@ -174,7 +176,7 @@ enum SideName {
     get, path = "/v1/scenes/{scene}/contains", tag = "cubes",
     params(
         ("scene" = String, Path, description = "Name of the scene", example = "pocket"),
-        ("at" = String, Query, description = "`x,y,z` in user units", example = "1.5,2,0"),
+        ("at" = String, Query, pattern = r"^[-+]?[0-9]{1,15}(\.[0-9]{0,15})?(e[-+]?[0-9]{1,2})?(,[-+]?[0-9]{1,15}(\.[0-9]{0,15})?(e[-+]?[0-9]{1,2})?){2}$", description = "`x,y,z` in user units", example = "1.5,2,0"),
         ("ids" = inline(Option<IdForm>), Query, description = "`text`: ids are answered as decimal strings, which JavaScript keeps exact above 2^53", example = "text"),
     ),
     responses((status = 200, description = "Where it lies", body = Containment))

@@ -20,8 +20,9 @@ use crate::wire::calls::HistoryRows;
 use crate::wire::convert::{MassProperties, Removal, Settings, mass_properties, removal};
 use crate::wire::problem::Problem;
 
-const HISTORY_LIMIT: usize = 1_000;
-const HISTORY_LIMIT_MAX: usize = 10_000;
+/// Changes of a page of JSON when no limit is given, and the most that it holds.
+const PAGE_LIMIT: u64 = 1_000;
+const PAGE_LIMIT_MAX: u64 = 10_000;
 
 /// A change of the past.
 #[derive(Serialize, ToSchema)]
@@ -136,7 +137,7 @@ pub(crate) struct History {
         ("to" = Option<u64>, Query, description = "Last seq, the newest if left out"),
         ("move_from" = Option<u64>, Query, description = "Least number of a move; changes without a move are left out"),
         ("move_to" = Option<u64>, Query, description = "Greatest number of a move; changes without a move are left out"),
-        ("limit" = Option<u64>, Query, description = "Most changes in the answer. JSON: 1 to 10,000, 1,000 if left out. Lines: any, all if left out"),
+        ("limit" = Option<u64>, Query, minimum = 1, description = "Most changes in the answer. If left out 1,000 in JSON, of which a page holds at most 10,000; all as lines"),
     ),
     responses((status = 200, description = "Changes, oldest first", content(
         (History = "application/json"),
@@ -152,9 +153,10 @@ pub(super) async fn get_history(
 ) -> Result<Response, Problem> {
     let query = parameters.only(&["from", "to", "move_from", "move_to", "limit"])?;
     let kind = preferred(&headers, &[BodyType::Json, BodyType::Ndjson, BodyType::Csv]);
+    let limit = query.limit(u64::MAX)?;
     let limit = match kind {
-        BodyType::Json => query.limit(HISTORY_LIMIT, HISTORY_LIMIT_MAX)? as u64,
-        _ => query.number("limit")?.unwrap_or(u64::MAX),
+        BodyType::Json => limit.unwrap_or(PAGE_LIMIT).min(PAGE_LIMIT_MAX),
+        _ => limit.unwrap_or(u64::MAX),
     };
     let (from, to) = (query.number("from")?, query.number("to")?);
     let (move_from, move_to) = (query.number("move_from")?, query.number("move_to")?);

@@ -1,7 +1,7 @@
 //! A stream of operations, a line each, in constant memory.
 //!
 //! ```text
-//!   body ── lines ── operations ── waiting (bounded) ── one chunk in flight ── service
+//!   body ── lines ── operations ── waiting (bounded) ── one chunk in flight, which waits for room in the queue ── service
 //! ```
 //! Only one chunk is in flight: were the next one queued behind it, a conflict in the first would not keep the second from being
 //! applied, and the answer could not say that exactly the lines before the bad one are committed. While a chunk is being
@@ -9,6 +9,7 @@
 
 use std::future::Future;
 use std::pin::Pin;
+use std::sync::Arc;
 use std::time::Duration;
 
 use axum::body::{Body, Bytes};
@@ -37,15 +38,11 @@ const LINGER: Duration = Duration::from_millis(5);
 /// Longest line, in bytes.
 const LINE_BYTES_MAX: usize = 64 << 10;
 
-/// Pauses between two tries while the scene's queue is full.
-const RETRY_PAUSE_MIN: Duration = Duration::from_millis(2);
-const RETRY_PAUSE_MAX: Duration = Duration::from_millis(200);
-
 /// Applies a stream to its end. Answers the state after the last chunk, and what all of them did.
 /// # Errors
 /// What stopped it, with `line`, `committed_lines` and `seq`: all lines before are committed, none after.
 pub(super) async fn apply(
-    scene: &Scene,
+    scene: &Arc<Scene>,
     settings: &Settings,
     body: Body,
     idle_max: Duration,
@@ -131,7 +128,7 @@ struct Committed {
 }
 
 /// Commits a chunk, or all of it before the operation that is refused. Waits while the queue is full.
-async fn commit(scene: &Scene, settings: &Settings, chunk: Chunk) -> Committed {
+async fn commit(scene: &Arc<Scene>, settings: &Settings, chunk: Chunk) -> Committed {
     let Chunk {
         operations, lines, ..
     } = chunk;
@@ -139,7 +136,6 @@ async fn commit(scene: &Scene, settings: &Settings, chunk: Chunk) -> Committed {
     let (mut from, mut to) = (0, operations.len());
     // What is wrong with the operation at `to`, once that is known.
     let mut refused = None;
-    let mut pause = RETRY_PAUSE_MIN;
     while from < to {
         let submission = Submission {
             operations: Operations::Named(operations[from..to].to_vec()),
@@ -147,17 +143,17 @@ async fn commit(scene: &Scene, settings: &Settings, chunk: Chunk) -> Committed {
             motion: Motion::default(),
             key: None,
         };
-        match scene.change(submission).await {
+        let answer = match scene.submit(submission, None).await {
+            Ok(queued) => queued.await,
+            Err(refused) => Err(refused),
+        };
+        match answer {
             Ok(applied) => {
                 sums.applied(&applied);
                 from = to;
                 if refused.is_none() {
                     to = operations.len();
                 }
-            }
-            Err(ServiceError::QueueFull { .. }) => {
-                tokio::time::sleep(pause).await;
-                pause = (2 * pause).min(RETRY_PAUSE_MAX);
             }
             Err(ServiceError::Rejected(rejected @ Rejected::IdConflict { index, .. })) => {
                 to = from + index;

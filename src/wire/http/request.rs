@@ -18,7 +18,7 @@ use utoipa::ToSchema;
 
 use super::Limits;
 use crate::wire::calls;
-use crate::wire::documents::IdForm;
+use crate::wire::documents::{IdForm, decimal};
 use crate::wire::problem::{Code, Fault, Faults, Problem};
 
 /// Parameters of the path.
@@ -82,13 +82,13 @@ impl Known {
         self.text(name).map(|text| whole(name, text)).transpose()
     }
 
-    /// A limit from 1 to `max`.
-    pub(super) fn limit(&self, default: usize, max: usize) -> Result<usize, Problem> {
+    /// A limit from 1 to `max`, if it is given.
+    pub(super) fn limit(&self, max: u64) -> Result<Option<u64>, Problem> {
         let Some(text) = self.text("limit") else {
-            return Ok(default);
+            return Ok(None);
         };
-        match text.parse() {
-            Ok(limit) if (1..=max).contains(&limit) => Ok(limit),
+        match decimal(text) {
+            Some(limit) if (1..=max).contains(&limit) => Ok(Some(limit)),
             _ => Err(Fault::in_parameter(
                 "limit",
                 format!("is not a whole number from 1 to {max}"),
