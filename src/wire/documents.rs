@@ -3,14 +3,38 @@
 
 use std::fmt;
 
-use serde::de::{Deserializer, Error, Visitor};
-use serde::{Deserialize, Serialize, Serializer};
+use serde::de::{Deserializer, Error, MapAccess, Visitor};
+use serde::{Deserialize, Serialize, Serializer, forward_to_deserialize_any};
 use utoipa::openapi::schema::{ObjectBuilder, OneOfBuilder, Schema};
 use utoipa::openapi::{RefOr, Type};
 use utoipa::{PartialSchema, ToSchema};
 
 use crate::geometry::{CubeId, Place};
 use crate::wire::convert::Settings;
+
+/// Reads these structs, whose derived functions are their own (`remote = "Self"`), from objects alone.
+macro_rules! objects_only {
+    ($($document:ident),*) => {$(
+        impl<'de> Deserialize<'de> for $document {
+            fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+                $document::deserialize($crate::wire::documents::ObjectOnly(deserializer))
+            }
+        }
+    )*};
+}
+
+/// Writes these structs by their derived functions (`remote = "Self"` makes them their own).
+macro_rules! written {
+    ($($document:ident),*) => {$(
+        impl Serialize for $document {
+            fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+                $document::serialize(self, serializer)
+            }
+        }
+    )*};
+}
+
+pub(super) use {objects_only, written};
 
 /// How ids are written.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Default, ToSchema)]
@@ -107,7 +131,7 @@ impl ToSchema for Id {}
 
 /// A cube.
 #[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
+#[serde(remote = "Self", deny_unknown_fields)]
 pub struct Cube {
     /// Its id, unique in the scene.
     pub id: Id,
@@ -128,7 +152,7 @@ impl Cube {
 
 /// A cube to insert, whose id may be left out.
 #[derive(Clone, Copy, PartialEq, Debug, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
+#[serde(remote = "Self", deny_unknown_fields)]
 pub struct NewCube {
     /// Its id, unique in the scene. All cubes of a change have one, or none has: then the server numbers them.
     #[serde(default, deserialize_with = "not_null")]
@@ -141,7 +165,7 @@ pub struct NewCube {
 
 /// An atomic change: deletions first, then insertions; all of it, or nothing.
 #[derive(Clone, PartialEq, Debug, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
+#[serde(remote = "Self", deny_unknown_fields)]
 pub struct Change {
     /// Ids of the cubes to delete.
     #[serde(default)]
@@ -174,10 +198,50 @@ pub enum Line<C> {
 
 /// Where to go back to.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
+#[serde(remote = "Self", deny_unknown_fields)]
 pub struct Revert {
     /// The seq whose cubes are wanted again.
     pub to: u64,
+}
+
+objects_only!(Cube, NewCube, Change, Revert);
+written!(Cube);
+
+/// Reads a struct from an object alone. Left to itself serde takes the list of its members' values for one, too.
+pub(super) struct ObjectOnly<T>(pub(super) T);
+
+impl<'de, D: Deserializer<'de>> Deserializer<'de> for ObjectOnly<D> {
+    type Error = D::Error;
+
+    fn deserialize_struct<V: Visitor<'de>>(
+        self,
+        name: &'static str,
+        fields: &'static [&'static str],
+        visitor: V,
+    ) -> Result<V::Value, D::Error> {
+        self.0.deserialize_struct(name, fields, ObjectOnly(visitor))
+    }
+
+    fn deserialize_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, D::Error> {
+        self.0.deserialize_any(ObjectOnly(visitor))
+    }
+
+    forward_to_deserialize_any! {
+        bool i8 i16 i32 i64 i128 u8 u16 u32 u64 u128 f32 f64 char str string bytes byte_buf option unit unit_struct
+        newtype_struct seq tuple tuple_struct map enum identifier ignored_any
+    }
+}
+
+impl<'de, V: Visitor<'de>> Visitor<'de> for ObjectOnly<V> {
+    type Value = V::Value;
+
+    fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.expecting(formatter)
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<V::Value, A::Error> {
+        self.0.visit_map(map)
+    }
 }
 
 /// Reads a member that may be left out, but is not null.

@@ -492,8 +492,7 @@ pub struct ProblemDocument {
     /// Lines from the stream's beginning that are committed.
     #[schema(nullable = false)]
     committed_lines: Option<u64>,
-    /// The scene's seq after what was committed; of an audit, the seq it is as of.
-    #[schema(nullable = false)]
+    /// The scene's seq after what was committed, null when the scene does not answer; of an audit, the seq it is as of.
     seq: Option<u64>,
     /// How far the replay is, 0 to 100.
     #[schema(nullable = false)]

@@ -1,11 +1,11 @@
 //! The settings of a scene: as they are sent, answered and stored, and checked.
 
-use serde::{Deserialize, Serialize, Serializer};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use utoipa::ToSchema;
 
 use super::units::{InvalidCoordinate, OFF_LATTICE_MAX, whole};
 use crate::geometry::{COORDINATE_MAX, Edge, InvalidEdge, Stock};
-use crate::wire::documents::not_null;
+use crate::wire::documents::{not_null, objects_only, written};
 
 /// Largest number of steps in a user unit.
 pub const STEPS_PER_UNIT_MAX: u32 = 1_000_000_000;
@@ -41,7 +41,7 @@ pub enum Rounding {
 /// Settings of a scene. As they are answered and stored they are complete, and equal settings have equal texts; a client may leave out
 /// all but `edge`.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
+#[serde(remote = "Self", deny_unknown_fields)]
 #[schema(as = Settings)]
 pub struct SettingsDocument {
     /// Edge of every cube: times `steps_per_unit` a whole number from 1 to 16,777,216. Units: user units.
@@ -116,7 +116,7 @@ impl SettingsDocument {
 
 /// A block of material, in user units.
 #[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
+#[serde(remote = "Self", deny_unknown_fields)]
 pub struct StockDocument {
     /// Least corner.
     #[schema(example = json!([0.0, 0.0, -10.0]))]
@@ -125,6 +125,9 @@ pub struct StockDocument {
     #[schema(example = json!([80.0, 60.0, 0.0]))]
     pub max: [f64; 3],
 }
+
+objects_only!(SettingsDocument, StockDocument);
+written!(SettingsDocument, StockDocument);
 
 /// Why settings are refused: the field at fault says which.
 #[derive(Clone, PartialEq, Debug, thiserror::Error)]

@@ -135,8 +135,13 @@ fn wrong_shapes_are_422_with_their_places() {
 #[test]
 fn wrong_ids_are_422_with_their_places() {
     check(
-        r#"{"delete":[-1,1.5,18446744073709551616,"1",null]}"#,
-        r#"422 /delete/0=-1 /delete/1=1.5 /delete/2="18446744073709551616" /delete/3="1" /delete/4=null"#,
+        r#"{"delete":[-1,1.5,18446744073709551616,"x",null]}"#,
+        r#"422 /delete/0=-1 /delete/1=1.5 /delete/2="18446744073709551616" /delete/3="x" /delete/4=null"#,
+    );
+    // A decimal string has one form, as a number has.
+    check(
+        r#"{"delete":["01","+1",""," 1","18446744073709551616"]}"#,
+        r#"422 /delete/0="01" /delete/1="+1" /delete/2="" /delete/3=" 1" /delete/4="18446744073709551616""#,
     );
     check(
         r#"{"insert":[{"id":null,"at":[0,0,0]}]}"#,
@@ -146,6 +151,47 @@ fn wrong_ids_are_422_with_their_places() {
         r#"{"insert":[{"id":1,"at":[0,0,0]},{"at":[0,0,0]},{"id":1,"at":[0,0,1]}]}"#,
         r#"422 /insert/1="{\"at\":[0,0,0]}" /insert/2/id=1"#,
     );
+}
+
+#[test]
+fn ids_are_numbers_or_decimal_strings() {
+    let settings = settings(Rounding::Nearest);
+    let read = |body: &str| format!("{:?}", change(body.as_bytes(), &settings, 10).unwrap());
+    assert_eq!(
+        read(r#"{"delete":["0",17],"insert":[{"id":"18446744073709551615","at":[0,0,0]}]}"#),
+        read(r#"{"delete":[0,"17"],"insert":[{"id":18446744073709551615,"at":[0,0,0]}]}"#),
+    );
+    let line = |text: &str| format!("{:?}", line(text.as_bytes(), &settings).unwrap());
+    assert_eq!(
+        line(r#"{"delete":"9007199254740993"}"#),
+        "Delete(CubeId(9007199254740993))"
+    );
+    // The same id twice, in both forms.
+    check(
+        r#"{"insert":[{"id":1,"at":[0,0,0]},{"id":"1","at":[0,0,1]}]}"#,
+        "ok",
+    );
+    let body = br#"{"insert":[{"id":1,"at":[0,0,0]},{"id":"1","at":[0,0,1]}]}"#;
+    assert_eq!(
+        outcome(change_faults(body, &settings, 5)),
+        r#"422 /insert/1/id="1""#
+    );
+}
+
+/// Serde reads a struct from the list of its members' values, too.
+#[test]
+fn lists_are_no_objects() {
+    check(r#"[[1],[]]"#, r#"422 ="[[1],[]]""#);
+    check(
+        r#"{"insert":[[1,[0,0,0]]]}"#,
+        r#"422 /insert/0="[1,[0,0,0]]""#,
+    );
+    let of = |text: &str| line(text.as_bytes(), &settings(Rounding::Nearest)).unwrap_err();
+    let problem = document(of(r#"{"insert":[1,[0,0,0]]}"#));
+    assert_eq!(problem["errors"][0]["pointer"], "/insert");
+    assert!(super::settings(b"[6]").is_err());
+    assert!(super::settings(br#"{"edge":6,"stock":[[0,0,0],[1,1,1]]}"#).is_err());
+    assert!(revert(b"[3]").is_err());
 }
 
 #[test]

@@ -142,7 +142,7 @@ pub(crate) struct History {
     responses((status = 200, description = "Changes, oldest first", content(
         (History = "application/json"),
         (String = "text/csv"),
-        (String = "application/x-ndjson"),
+        (HistoryEntry = "application/x-ndjson"),
     )))
 )]
 pub(super) async fn get_history(
