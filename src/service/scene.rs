@@ -108,12 +108,11 @@ impl Scene {
         &self,
         read: impl FnOnce(&str) -> Option<T>,
     ) -> Option<Arc<T>> {
-        let kept = match self.settings.get() {
-            Some(kept) => kept,
-            None => {
-                let made = Arc::new(read(self.settings())?);
-                self.settings.get_or_init(|| made)
-            }
+        let kept = if let Some(kept) = self.settings.get() {
+            kept
+        } else {
+            let made = Arc::new(read(self.settings())?);
+            self.settings.get_or_init(|| made)
         };
         kept.clone().downcast().ok()
     }

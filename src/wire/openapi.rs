@@ -109,27 +109,23 @@ fn referred<'a>(schema: &'a Value, schemas: &'a Value) -> &'a Value {
 }
 
 /// What parameters of these names look like.
-const PATTERNS: [(&str, &str); 4] = [
+const PATTERNS: [(&str, &str); 3] = [
     ("scene", "^[a-z0-9][a-z0-9._-]{0,62}$"),
     ("after", "^a[0-9a-f]{16}$"),
     ("Idempotency-Key", "^[!-~]{1,64}$"),
-    (
-        "If-None-Match",
-        r#"^\*$|^(W/)?"[!#-~]*"(, *(W/)?"[!#-~]*")*$"#,
-    ),
 ];
 
 /// Says what the types alone do not: how large whole numbers may be, and what parameters look like.
 fn complete(value: &mut Value) {
     match value {
         Value::Object(members) => {
-            let whole = members.get("type").is_some_and(|kind| kind == "integer");
+            // What cannot be negative has 64 bits, too.
             let wide = members
                 .get("format")
                 .is_some_and(|format| format == "int64");
-            if whole && wide && members.get("minimum") == Some(&json!(0)) {
+            if wide && members.contains_key("minimum") {
                 members.insert("format".to_owned(), "uint64".into());
-                members.insert("maximum".to_owned(), u64::MAX.into());
+                members.entry("maximum").or_insert_with(|| u64::MAX.into());
             }
             let name = members.get("name").and_then(Value::as_str);
             let pattern = PATTERNS.iter().find(|(known, _)| Some(*known) == name);

@@ -235,13 +235,13 @@ impl Faults {
     }
 
     /// All of them.
-    pub fn iter(&self) -> std::slice::Iter<'_, Fault> {
-        self.0.iter()
+    pub fn as_slice(&self) -> &[Fault] {
+        &self.0
     }
 
     /// All of them, to be completed.
-    pub fn iter_mut(&mut self) -> std::slice::IterMut<'_, Fault> {
-        self.0.iter_mut()
+    pub fn as_mut_slice(&mut self) -> &mut [Fault] {
+        &mut self.0
     }
 
     /// Whether the place `pointer` is at fault already, or one around it or in it.

@@ -179,7 +179,12 @@ fn check(change: &Change, settings: &Settings, faults: &mut Faults) {
         }
         let pointer = || format!("/insert/{index}");
         let readable = !unread.contains(&index);
-        if readable || !faults.iter().any(|fault| fault.pointer == Some(pointer())) {
+        if readable
+            || !faults
+                .as_slice()
+                .iter()
+                .any(|fault| fault.pointer == Some(pointer()))
+        {
             let named = id.is_some();
             if *first_named.get_or_insert(named) != named {
                 let detail = if named {
@@ -210,7 +215,7 @@ fn rows_at_fault(faults: &Faults) -> HashSet<usize> {
         let steps = fault.pointer.as_deref()?.strip_prefix("/insert/")?;
         steps.split('/').next()?.parse().ok()
     };
-    faults.iter().filter_map(row).collect()
+    faults.as_slice().iter().filter_map(row).collect()
 }
 
 /// Notes what is wrong with the coordinates that can be read.

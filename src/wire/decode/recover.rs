@@ -58,7 +58,10 @@ pub(super) fn read<'de, T: Deserialize<'de>>(
 
 /// Shows beside each fault that has no value yet what was sent at its place.
 pub(super) fn show_values(body: &RawValue, faults: &mut Faults) {
-    let wanted = faults.iter_mut().filter(|fault| fault.value.is_none());
+    let wanted = faults
+        .as_mut_slice()
+        .iter_mut()
+        .filter(|fault| fault.value.is_none());
     let wanted = wanted.filter_map(|fault| Some((fault.pointer.clone()?, fault)));
     show(body, wanted.collect());
 }
@@ -170,7 +173,7 @@ struct Recovering<'a, 'de> {
     notes: &'a Notes,
 }
 
-impl<'a, 'de> Recovering<'a, 'de> {
+impl<'de> Recovering<'_, 'de> {
     fn note(&self, detail: impl Into<std::borrow::Cow<'static, str>>) {
         let fault = Fault::at(self.at.to_string(), detail, self.raw);
         self.notes.faults.borrow_mut().push(fault);
@@ -280,7 +283,7 @@ impl<'de> Deserializer<'de> for Recovering<'_, 'de> {
         let elements = self.elements("is not a list").unwrap_or_default();
         visitor.visit_seq(Elements {
             of: self,
-            elements: elements.into_iter(),
+            sent: elements.into_iter(),
             index: 0,
             stand_ins: 0,
         })
@@ -300,7 +303,7 @@ impl<'de> Deserializer<'de> for Recovering<'_, 'de> {
         let read = visitor.visit_seq(Elements {
             of: self,
             stand_ins: len - elements.len(),
-            elements: elements.into_iter(),
+            sent: elements.into_iter(),
             index: 0,
         });
         if count != len {
@@ -329,10 +332,9 @@ impl<'de> Deserializer<'de> for Recovering<'_, 'de> {
             }
             members.push((field, None));
         }
-        let members = members.into_iter();
         let read = visitor.visit_map(Members {
             of: self,
-            members,
+            sent: members.into_iter(),
             next: None,
         });
         match read {
@@ -359,25 +361,23 @@ impl<'de> Deserializer<'de> for Recovering<'_, 'de> {
                 let before = self.notes.faults.borrow().len();
                 let members = self.members(variants).unwrap_or_default();
                 let clean = self.notes.faults.borrow().len() == before;
-                match members[..] {
-                    [chosen] => chosen,
-                    _ => {
-                        if clean {
-                            self.note(choice(&visitor, variants));
-                        }
-                        stand_in
+                if let [chosen] = members[..] {
+                    chosen
+                } else {
+                    if clean {
+                        self.note(choice(&visitor, variants));
                     }
+                    stand_in
                 }
             }
             Some(raw) => {
                 let text: Option<String> = serde_json::from_str(raw.get()).ok();
                 let known = variants.iter().find(|name| text.as_deref() == Some(**name));
-                match known {
-                    Some(name) => (*name, None),
-                    None => {
-                        self.note(choice(&visitor, variants));
-                        stand_in
-                    }
+                if let Some(name) = known {
+                    (*name, None)
+                } else {
+                    self.note(choice(&visitor, variants));
+                    stand_in
                 }
             }
         };
@@ -409,7 +409,7 @@ fn choice<'de>(visitor: &impl Visitor<'de>, variants: &[&str]) -> String {
 /// The elements of a list, then stand-ins.
 struct Elements<'a, 'de> {
     of: Recovering<'a, 'de>,
-    elements: std::vec::IntoIter<&'de RawValue>,
+    sent: std::vec::IntoIter<&'de RawValue>,
     index: usize,
     stand_ins: usize,
 }
@@ -422,7 +422,7 @@ impl<'de> SeqAccess<'de> for Elements<'_, 'de> {
         seed: T,
     ) -> Result<Option<T::Value>, Interrupted> {
         let enough = self.of.notes.faults.borrow().is_full() && self.stand_ins == 0;
-        let raw = self.elements.next().filter(|_| !enough);
+        let raw = self.sent.next().filter(|_| !enough);
         if raw.is_none() {
             let Some(left) = self.stand_ins.checked_sub(1) else {
                 return Ok(None);
@@ -443,7 +443,7 @@ impl<'de> SeqAccess<'de> for Elements<'_, 'de> {
 /// The members of an object.
 struct Members<'a, 'de> {
     of: Recovering<'a, 'de>,
-    members: std::vec::IntoIter<Member<'de>>,
+    sent: std::vec::IntoIter<Member<'de>>,
     next: Option<Member<'de>>,
 }
 
@@ -454,7 +454,7 @@ impl<'de> MapAccess<'de> for Members<'_, 'de> {
         &mut self,
         seed: K,
     ) -> Result<Option<K::Value>, Interrupted> {
-        self.next = self.members.next();
+        self.next = self.sent.next();
         let Some((name, _)) = self.next else {
             return Ok(None);
         };
