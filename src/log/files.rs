@@ -136,9 +136,14 @@ impl Site {
 
     /// Whether a new file finds no room: SQLite does not say what its I/O errors were.
     fn is_full(&self) -> bool {
+        let tried = self.try_to_write();
+        tried.is_err_and(|error| matches!(self.io(&error), LogError::Full { .. }))
+    }
+
+    /// Writes and syncs a nameless file beside the database.
+    pub(super) fn try_to_write(&self) -> io::Result<()> {
         const TRIAL_BYTES: usize = 1 << 16;
-        let trial = self.disk.try_bytes(&self.directory, TRIAL_BYTES);
-        trial.is_err_and(|error| matches!(self.io(&error), LogError::Full { .. }))
+        self.disk.try_bytes(&self.directory, TRIAL_BYTES)
     }
 
     /// Checks the start of the database file before SQLite sees it: SQLite would take an empty file for a new database and

@@ -3,7 +3,7 @@
 //! ```text
 //!          ┌──────────────────────── probe_interval ◄──────────────┐
 //!          ▼                                                       │
-//!   open the log ──► replay ──► serve (`writer`) ──failure──► stopped ──► refused, when the files are damaged
+//!   open the log ──► replay ──► serve (`writer`) ──failure──► stopped ──► refused, when the files are found damaged twice
 //! ```
 //! The one way in, at start and after a failure.
 
@@ -21,6 +21,8 @@ use crate::log::{Keep, LogError, SceneLog};
 
 /// Runs a scene until its end. `writer` is there when the scene was just created.
 pub(super) fn run(scene: &Scene, mut writer: Option<Writer>) {
+    // What was found damaged when it was last looked at.
+    let mut damaged = None;
     loop {
         let (halt, unanswered) = match writer.take().map_or_else(|| attempt(scene), Ok) {
             Ok(writer) => serve_until_halt(scene, writer),
@@ -29,6 +31,7 @@ pub(super) fn run(scene: &Scene, mut writer: Option<Writer>) {
         let Halt::Log(error) = halt else {
             return;
         };
+        let error = believed(error, &mut damaged);
         let comes_back = stop(scene, &error);
         // After the condition: who hears of the failure and looks again must not see the scene running.
         let refusal = unacknowledged(&error);
@@ -40,6 +43,19 @@ pub(super) fn run(scene: &Scene, mut writer: Option<Writer>) {
             return;
         }
     }
+}
+
+/// Damage is believed when it is found a second time: a read that fails once (SQLite calls that damage too) is the disk's failure.
+fn believed(error: LogError, damaged: &mut Option<String>) -> LogError {
+    let LogError::Damaged { path, .. } = &error else {
+        return error;
+    };
+    let (path, cause) = (path.clone(), error.to_string());
+    if damaged.as_ref() == Some(&cause) {
+        return error;
+    }
+    *damaged = Some(cause.clone());
+    LogError::Failed { path, cause }
 }
 
 /// One try to bring the scene back.
@@ -116,8 +132,7 @@ pub(super) fn reopen(scene: &Scene) -> Result<Writer, Halt> {
     let ended = || scene.inbox.ended().is_some();
     let _pass = scene.setup.gate.enter(ended).ok_or(Halt::Ended)?;
     failpoint::pass(scene.setup.fail_hook.as_ref(), FailPoint::Open)?;
-    let (mut log, notices) =
-        SceneLog::open(&scene.setup.config.disk, &scene.directory, keep(scene))?;
+    let (log, notices) = SceneLog::open(&scene.setup.config.disk, &scene.directory, keep(scene))?;
     for notice in &notices {
         tracing::warn!(scene = scene.name().as_str(), "{notice}");
     }
