@@ -3,6 +3,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use parking_lot::{Condvar, Mutex};
@@ -213,20 +214,27 @@ async fn a_scene_has_at_most_so_many_cubes() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_lost_answer_breaks_its_chain() {
     let directory = tempfile::tempdir().unwrap();
-    let dies = Arc::new(Mutex::new(false));
-    let at_append = dies.clone();
+    let dies = Arc::new(AtomicBool::new(false));
+    let reopened = Arc::new(AtomicBool::new(false));
+    let (at_append, at_open) = (dies.clone(), reopened.clone());
     let hook = move |point| {
-        let dies = point == FailPoint::Append && std::mem::take(&mut *at_append.lock());
+        if point == FailPoint::Open {
+            at_open.store(true, Ordering::Release);
+        }
+        let dies = point == FailPoint::Append && at_append.swap(false, Ordering::AcqRel);
         assert!(!dies, "the writer dies, as the test wants it");
         None
     };
     let service = Service::start_with_failpoints(config(directory.path()), Arc::new(hook)).unwrap();
     let scene = create(&service, "s").await;
     let chain = Chain::default();
-    *dies.lock() = true;
+    dies.store(true, Ordering::Release);
     let first = submission(insertions(1..2));
     let first = scene.submit(first, Some(chain.clone())).await.unwrap();
     assert!(first.await.is_err());
+    while !reopened.load(Ordering::Acquire) {
+        std::thread::yield_now();
+    }
     let scene = running(&service, "s");
     let second = submission(insertions(2..3));
     let second = scene.submit(second, Some(chain)).await.unwrap().await;

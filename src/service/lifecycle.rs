@@ -21,17 +21,16 @@ use crate::log::{Keep, LogError, SceneLog};
 
 /// Runs a scene until its end. `writer` is there when the scene was just created.
 pub(super) fn run(scene: &Scene, mut writer: Option<Writer>) {
-    // What was found damaged when it was last looked at.
+    // What the writer found damaged when it last stopped for that.
     let mut damaged = None;
     loop {
         let (halt, unanswered) = match writer.take().map_or_else(|| attempt(scene), Ok) {
-            Ok(writer) => serve_until_halt(scene, writer),
+            Ok(writer) => serve_until_halt(scene, writer, &mut damaged),
             Err(halt) => (halt, Vec::new()),
         };
         let Halt::Log(error) = halt else {
             return;
         };
-        let error = believed(error, &mut damaged);
         let comes_back = stop(scene, &error);
         // After the condition: who hears of the failure and looks again must not see the scene running.
         let refusal = unacknowledged(&error);
@@ -45,35 +44,32 @@ pub(super) fn run(scene: &Scene, mut writer: Option<Writer>) {
     }
 }
 
-/// Damage is believed when it is found a second time: a read that fails once (SQLite calls that damage too) is the disk's failure.
-fn believed(error: LogError, damaged: &mut Option<String>) -> LogError {
-    let LogError::Damaged { path, .. } = &error else {
-        return error;
-    };
-    let (path, cause) = (path.clone(), error.to_string());
-    if damaged.as_ref() == Some(&cause) {
-        return error;
-    }
-    *damaged = Some(cause.clone());
-    LogError::Failed { path, cause }
-}
-
-/// One try to bring the scene back.
+/// One try to bring the scene back. A read that fails is damage to SQLite, so damage is believed when a second look finds some too.
 fn attempt(scene: &Scene) -> Result<Writer, Halt> {
-    // A panic here is met again at every try (the log is the same), so the scene is refused rather than retried.
-    let writer = catch_unwind(AssertUnwindSafe(|| reopen(scene))).unwrap_or_else(|_| {
-        Err(Halt::Log(LogError::Foreign {
-            path: scene.directory.clone(),
-            detail:
-                "replay failed by a fault of this program; see its log, and try a newer version"
-                    .to_owned(),
-        }))
-    })?;
+    let reopen = || {
+        // A panic here is met again at every try (the log is the same), so the scene is refused rather than retried.
+        catch_unwind(AssertUnwindSafe(|| reopen(scene))).unwrap_or_else(|_| {
+            Err(Halt::Log(LogError::Foreign {
+                path: scene.directory.clone(),
+                detail:
+                    "replay failed by a fault of this program; see its log, and try a newer version"
+                        .to_owned(),
+            }))
+        })
+    };
+    let writer = match reopen() {
+        Err(Halt::Log(LogError::Damaged { .. })) => reopen(),
+        first => first,
+    }?;
     writer.begin(scene);
     Ok(writer)
 }
 
-fn serve_until_halt(scene: &Scene, mut writer: Writer) -> (Halt, Vec<Reply>) {
+fn serve_until_halt(
+    scene: &Scene,
+    mut writer: Writer,
+    damaged: &mut Option<(Seq, String)>,
+) -> (Halt, Vec<Reply>) {
     let halt = catch_unwind(AssertUnwindSafe(|| writer.serve(scene))).unwrap_or_else(|_| {
         // Nothing unlogged was shown, so a fault of this program is survived like one of the disk.
         Halt::Log(LogError::Failed {
@@ -81,6 +77,17 @@ fn serve_until_halt(scene: &Scene, mut writer: Writer) -> (Halt, Vec<Reply>) {
             cause: "the writer failed by a fault of this program; see its log".to_owned(),
         })
     });
+    let halt = match halt {
+        // A replay tells better, except of what it does not read: that is found here again.
+        Halt::Log(LogError::Damaged { path, seq, detail })
+            if damaged.as_ref() != Some(&(seq, detail.clone())) =>
+        {
+            let cause = format!("damaged at seq {}: {detail}", seq.0);
+            *damaged = Some((seq, detail));
+            Halt::Log(LogError::Failed { path, cause })
+        }
+        halt => halt,
+    };
     (halt, writer.unanswered)
 }
 
