@@ -150,6 +150,32 @@ pub struct Engine {
 struct Work {
     neighbours: Neighbours,
     uncovered: Vec<Span>,
+    /// Covered cubes that meet what is uncovered.
+    candidates: Vec<(CubeId, Span)>,
+}
+
+impl Work {
+    /// Removes the candidate that meets most of the boxes, so that few cubes become exposed; and those that meet none.
+    fn next_candidate(&mut self) -> Option<(CubeId, Span)> {
+        let Self {
+            uncovered,
+            candidates,
+            ..
+        } = self;
+        let mut best = (0, None);
+        let mut count = 0;
+        candidates.retain(|(_, cube)| {
+            let overlap = uncovered.iter().map(|span| span.overlap(cube)).max();
+            let overlap = overlap.unwrap_or(0);
+            if overlap > best.0 {
+                best = (overlap, Some(count));
+            }
+            count += usize::from(overlap > 0);
+            overlap > 0
+        });
+        let (_, index) = best;
+        Some(candidates.swap_remove(index?))
+    }
 }
 
 impl Engine {
@@ -207,6 +233,7 @@ impl Engine {
             work: Work {
                 neighbours: Neighbours::new(),
                 uncovered: Vec::new(),
+                candidates: Vec::new(),
             },
             threads: available_parallelism().map_or(1, NonZero::get),
             helpers: Vec::new(),
@@ -430,6 +457,7 @@ impl Engine {
         if self.covered_cells.cover(place) {
             self.covered.insert(place, id);
         } else if self.marginal(place) {
+            self.kernel.insert_into(&mut self.totals);
             self.expose(id, place);
         } else {
             self.covered_cells.mark(place);
@@ -438,9 +466,8 @@ impl Engine {
         self.covered_cells.review(&self.exposed, &self.covered, 1);
     }
 
-    /// Makes a cube exposed that adds to the union what the kernel found.
+    /// Puts a cube among the exposed ones.
     fn expose(&mut self, id: CubeId, place: Place) {
-        self.kernel.insert_into(&mut self.totals);
         self.exposed.insert(place, id);
         if self.covered_cells.are_kept() && self.exposed.is_dense_at(place) {
             self.covered_cells.mark(place);
@@ -458,14 +485,12 @@ impl Engine {
             self.exposed.remove(place, id),
             "a cube is in one of the grids"
         );
-        if !self.uncovered(place) {
-            return;
+        if self.uncovered(place) && !self.cover_again(place) {
+            self.kernel.delete_from(&mut self.totals);
+            for uncovered in &self.work.uncovered {
+                self.covered_cells.unmark(uncovered);
+            }
         }
-        self.kernel.delete_from(&mut self.totals);
-        for uncovered in &self.work.uncovered {
-            self.covered_cells.unmark(uncovered);
-        }
-        self.promote(place);
         self.covered_cells.review(&self.exposed, &self.covered, 1);
     }
 
@@ -488,20 +513,78 @@ impl Engine {
         true
     }
 
-    /// Makes covered cubes exposed until they cover again what the deleted cube at `place` uncovered, as far as they can.
-    /// That lies within the boxes of `work`.
+    /// Makes covered cubes exposed until they cover what the cube at `place`, which goes, would uncover, as far as they can; true when
+    /// they cover all of it. What is left is in `work` and `kernel`, as [`Self::uncovered`] finds it.
+    ///
+    /// The union already holds these cubes, so exposing them changes nothing: the kernel looks at the cube that goes alone.
+    fn cover_again(&mut self, place: Place) -> bool {
+        if let Some((id, covering)) = self.find_candidates() {
+            self.move_to_exposed(id, covering);
+            return true;
+        }
+        let corner = place.corner();
+        let mut left = self.kernel.volume();
+        while let Some((id, candidate)) = self.work.next_candidate() {
+            let offset = [0, 1, 2].map(|axis| candidate.min[axis] - corner[axis]);
+            self.work.neighbours.push(offset);
+            let (neighbours, boxes) = (&self.work.neighbours, &mut self.work.uncovered);
+            let is_left = self.kernel.uncovered(place, neighbours, boxes);
+            if is_left && self.kernel.volume() == left {
+                // The boxes are wide: the candidate meets them, but nothing that is uncovered.
+                self.work.neighbours.pop();
+                continue;
+            }
+            self.move_to_exposed(id, Place::from_checked(candidate.min));
+            if !is_left {
+                return true;
+            }
+            left = self.kernel.volume();
+        }
+        false
+    }
+
+    /// Makes covered cubes exposed until they cover again what the deleted cube at `place` uncovered, as far as they can, and adds
+    /// what they bring. That lies within the boxes of `work`.
     fn promote(&mut self, place: Place) {
-        let boxes = self.work.uncovered.iter().copied();
-        let Some(uncovered) = boxes.reduce(|one, other| one.joined(&other)) else {
-            return;
-        };
-        if self.covered.len() == 0 {
+        if let Some((id, covering)) = self.find_candidates() {
+            self.promote_one(id, covering);
             return;
         }
+        while let Some((id, candidate)) = self.work.next_candidate() {
+            if !self.promote_one(id, Place::from_checked(candidate.min)) {
+                continue;
+            }
+            let Work {
+                uncovered,
+                candidates,
+                ..
+            } = &mut self.work;
+            uncovered.retain(|uncovered| !candidate.contains(uncovered));
+            // The boxes are wide. Only when another cube might be needed is it worth finding out what is still uncovered.
+            let needed =
+                |(_, other): &(CubeId, Span)| uncovered.iter().any(|span| span.overlap(other) > 0);
+            if !candidates.iter().any(needed) || !self.uncovered(place) {
+                return;
+            }
+        }
+    }
+
+    /// Finds the covered cubes that meet the boxes of `work`, as its candidates; or one of them that covers all of the boxes.
+    fn find_candidates(&mut self) -> Option<(CubeId, Place)> {
+        let Work {
+            uncovered,
+            candidates,
+            ..
+        } = &mut self.work;
+        candidates.clear();
+        if self.covered.len() == 0 {
+            return None;
+        }
+        let boxes = uncovered.iter().copied();
+        let uncovered = boxes.reduce(|one, other| one.joined(&other))?;
         let edge = self.edge.steps();
-        let mut candidates: Vec<(CubeId, Span)> = Vec::new();
-        // In a crowd one cube often covers all of it; the first one found will do.
         let reach = uncovered.min.map(|low| low - edge);
+        // In a crowd one cube often covers all of it; the first one found will do.
         let covering = self.covered.visit(reach, uncovered.max, |corner, id| {
             let cube = Span::cube(corner, edge);
             if cube.contains(&uncovered) {
@@ -510,36 +593,13 @@ impl Engine {
             candidates.push((id, cube));
             ControlFlow::Continue(())
         });
-        if let ControlFlow::Break((id, covered)) = covering {
-            self.promote_one(id, covered);
-            return;
-        }
-        // Best overlap first, so that few cubes become exposed.
-        loop {
-            let boxes = &self.work.uncovered;
-            let mut best = (0, None);
-            candidates.retain(|(id, cube)| {
-                let overlap = boxes.iter().map(|span| span.overlap(cube)).max();
-                let overlap = overlap.unwrap_or(0);
-                if overlap > best.0 {
-                    best = (overlap, Some((*id, *cube)));
-                }
-                overlap > 0
-            });
-            let (_, Some((id, cube))) = best else { return };
-            candidates.retain(|(other, _)| *other != id);
-            if !self.promote_one(id, Place::from_checked(cube.min)) {
-                continue;
-            }
-            let boxes = &mut self.work.uncovered;
-            boxes.retain(|uncovered| !cube.contains(uncovered));
-            // The boxes are wide. Only when another cube might be needed is it worth finding out what is still uncovered.
-            let needed =
-                |(_, other): &(CubeId, Span)| boxes.iter().any(|span| span.overlap(other) > 0);
-            if !candidates.iter().any(needed) || !self.uncovered(place) {
-                return;
-            }
-        }
+        covering.break_value()
+    }
+
+    /// Makes a covered cube exposed.
+    fn move_to_exposed(&mut self, id: CubeId, place: Place) {
+        assert!(self.covered.remove(place, id), "a candidate is covered");
+        self.expose(id, place);
     }
 
     /// Makes a covered cube exposed, unless the exposed cubes cover it.
@@ -547,8 +607,8 @@ impl Engine {
         if !self.marginal(place) {
             return false;
         }
-        assert!(self.covered.remove(place, id), "a candidate is covered");
-        self.expose(id, place);
+        self.kernel.insert_into(&mut self.totals);
+        self.move_to_exposed(id, place);
         true
     }
 

@@ -46,6 +46,20 @@ impl Neighbours {
         }
     }
 
+    /// Appends an offset.
+    pub(super) fn push(&mut self, [x, y, z]: [i32; 3]) {
+        self.reserve(1);
+        self.x[self.len] = x;
+        self.y[self.len] = y;
+        self.z[self.len] = z;
+        self.len += 1;
+    }
+
+    /// Removes the last offset.
+    pub(super) fn pop(&mut self) {
+        self.len -= 1;
+    }
+
     /// The offsets one by one.
     #[cfg(test)]
     pub(super) fn iter(&self) -> impl Iterator<Item = [i32; 3]> + '_ {

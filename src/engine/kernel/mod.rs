@@ -135,6 +135,11 @@ impl Kernel {
         }
     }
 
+    /// The volume that the last cube adds.
+    pub(super) fn volume(&self) -> i128 {
+        self.marginal.volume()
+    }
+
     /// Adds what the last cube changes to a sum.
     pub(super) fn add_to(&self, sum: &mut Difference) {
         self.marginal
@@ -168,6 +173,8 @@ impl Clone for Kernel {
 trait Marginal: Debug + Send + Sync {
     /// Finds what a cube changes, given its neighbours and the stock in its coordinates; false when nothing.
     fn difference(&mut self, neighbours: &Neighbours, stock: Option<&Span>, collect: bool) -> bool;
+    /// The volume that the last cube adds to the union.
+    fn volume(&self) -> i128;
     /// Boxes around what the last cube newly covers, if they were to be collected.
     fn uncovered(&self) -> &[Span];
     fn add_to(&self, corner: [i32; 3], union: &mut Measures, stock: Option<&mut StockMeasures>);
@@ -309,6 +316,10 @@ impl<L: Columns<W::Coordinate>, W: Width> Marginal for Evaluation<L, W> {
             _ if is_alone => self.evaluate_alone::<OfUnion<L, W>>(neighbours, 0),
             _ => self.evaluate::<OfUnion<L, W>>(neighbours),
         }
+    }
+
+    fn volume(&self) -> i128 {
+        self.sums[0].volume()
     }
 
     fn uncovered(&self) -> &[Span] {

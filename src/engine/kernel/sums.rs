@@ -481,6 +481,10 @@ impl<W: Width> Sums<W> {
         self.volume == W::Sum::default()
     }
 
+    pub(super) fn volume(&self) -> i128 {
+        self.volume.into()
+    }
+
     /// Adds what of [`Row::counts`] are counts.
     #[inline(always)]
     fn add_counts(&mut self, counts: &[i32; 8]) {
