@@ -18,6 +18,8 @@ use serde_json::{Value, json};
 use tokio_stream::Stream;
 use tonic::transport::server::TcpIncoming;
 use tonic::{Request, Response, Status, Streaming};
+use union3d::engine::recount;
+use union3d::wire::convert::{Settings, SettingsDocument, mass_properties};
 use union3d::wire::proto::union_service_server::{UnionService, UnionServiceServer};
 use union3d::wire::proto::{
     self, Acknowledged, Change, Outcome, Volumes, stream_changes_request as request,
@@ -924,17 +926,12 @@ serve! {
         request: Request<proto::GetMassPropertiesRequest>,
     ) -> Result<Response<proto::GetMassPropertiesResponse>, Status> {
         let breaking = self.0.lock().unwrap();
-        let exact = proto::ExactMeasures {
-            volume: breaking.volume(),
-            area: "0".to_owned(),
-            ..proto::ExactMeasures::default()
-        };
-        let properties = proto::MassProperties {
-            scene: request.into_inner().scene,
-            cubes: breaking.cubes.len() as u64,
-            exact: Some(exact),
-            ..proto::MassProperties::default()
-        };
+        let settings = Settings::check(&SettingsDocument::with_edge(2.0)).unwrap();
+        let nothing = recount(settings.edge(), None, std::iter::empty());
+        let properties = mass_properties(Some(&request.get_ref().scene), None, &nothing, &settings);
+        let mut properties = proto::MassProperties::from(properties);
+        properties.cubes = breaking.cubes.len() as u64;
+        properties.exact.as_mut().unwrap().volume = breaking.volume();
         Ok(Response::new(proto::GetMassPropertiesResponse {
             mass_properties: Some(properties),
         }))

@@ -183,7 +183,8 @@ pub struct Change {
     pub duration: Option<f64>,
 }
 
-/// One line of a stream: one operation. `C` is a [`Cube`], or where ids may be left out a [`NewCube`].
+// `C` is a `Cube`, or in files, where ids may be left out, a `NewCube`.
+/// One line of a stream: one operation.
 #[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(
     rename_all = "lowercase",

@@ -75,7 +75,7 @@ fn flatten_schemas(description: &mut Value) {
 }
 
 /// One object for the parts of a schema; none when it has no parts.
-fn flattened(schema: &Value, schemas: &Value) -> Option<Value> {
+fn flattened<'a>(schema: &'a Value, schemas: &'a Value) -> Option<Value> {
     let parts = schema.get("allOf")?.as_array()?;
     let mut whole = schema.clone();
     let (mut properties, mut required) = (Map::new(), Vec::new());
@@ -83,7 +83,8 @@ fn flattened(schema: &Value, schemas: &Value) -> Option<Value> {
         // A part that may be left out as a whole is a choice of null and the part.
         let choice = part.get("oneOf").and_then(Value::as_array);
         let optional = choice.is_some();
-        let part = choice.and_then(|choice| choice.last()).unwrap_or(part);
+        let chosen = |choice: &'a Vec<Value>| choice.iter().find(|part| part["type"] != "null");
+        let part = choice.and_then(chosen).unwrap_or(part);
         let part = referred(part, schemas);
         let inner = flattened(part, schemas);
         let part = inner.as_ref().unwrap_or(part);
@@ -115,29 +116,61 @@ const PATTERNS: [(&str, &str); 3] = [
     ("Idempotency-Key", "^[!-~]{1,64}$"),
 ];
 
-/// Says what the types alone do not: how large whole numbers may be, and what parameters look like.
+/// Says what the types alone do not: how large whole numbers may be, how long lists are, what parameters look like.
 fn complete(value: &mut Value) {
     match value {
         Value::Object(members) => {
-            // What cannot be negative has 64 bits, too.
-            let wide = members
-                .get("format")
-                .is_some_and(|format| format == "int64");
-            if wide && members.contains_key("minimum") {
-                members.insert("format".to_owned(), "uint64".into());
-                members.entry("maximum").or_insert_with(|| u64::MAX.into());
-            }
-            let name = members.get("name").and_then(Value::as_str);
-            let pattern = PATTERNS.iter().find(|(known, _)| Some(*known) == name);
-            if let Some((_, pattern)) = pattern
-                && let Some(schema) = members.get_mut("schema")
-            {
-                schema["pattern"] = (*pattern).into();
+            complete_numbers(members);
+            complete_shapes(members);
+            if members.contains_key("in") {
+                complete_parameter(members);
             }
             members.values_mut().for_each(complete);
         }
         Value::Array(values) => values.iter_mut().for_each(complete),
         _ => {}
+    }
+}
+
+/// What cannot be negative has 64 bits, too.
+fn complete_numbers(schema: &mut Map<String, Value>) {
+    let wide = schema.get("format").is_some_and(|format| format == "int64");
+    if wide && schema.contains_key("minimum") {
+        schema.insert("format".to_owned(), "uint64".into());
+        schema.entry("maximum").or_insert_with(|| u64::MAX.into());
+    }
+}
+
+/// Lists of plain values have three of them, one an axis; choices of operations are closed; messages are bytes.
+fn complete_shapes(schema: &mut Map<String, Value>) {
+    let plain = |items: &Value| items.is_object() && items.get("$ref").is_none();
+    if schema.get("items").is_some_and(plain) {
+        schema.insert("minItems".to_owned(), 3.into());
+        schema.insert("maxItems".to_owned(), 3.into());
+    }
+    let choices = schema.get_mut("oneOf").and_then(Value::as_array_mut);
+    for choice in choices.into_iter().flatten() {
+        if choice["type"] == "object" {
+            choice["additionalProperties"] = false.into();
+        }
+    }
+    if let Some(message) = schema.get_mut("application/x-protobuf") {
+        message["schema"] = json!({"type": "string", "format": "binary"});
+    }
+}
+
+/// Parameters have patterns, and are never null.
+fn complete_parameter(parameter: &mut Map<String, Value>) {
+    let name = parameter.get("name").and_then(Value::as_str);
+    let pattern = PATTERNS.iter().find(|(known, _)| Some(*known) == name);
+    let Some(schema) = parameter.get_mut("schema") else {
+        return;
+    };
+    if let Some((_, pattern)) = pattern {
+        schema["pattern"] = (*pattern).into();
+    }
+    if let Some(types) = schema["type"].as_array() {
+        schema["type"] = types[0].clone();
     }
 }
 

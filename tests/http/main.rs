@@ -4,6 +4,7 @@ mod changes;
 mod described;
 mod description;
 mod golden;
+mod ids;
 mod reads;
 mod refusals;
 mod revert;

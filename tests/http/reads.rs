@@ -410,3 +410,34 @@ async fn answers_are_compressed_when_asked() {
     })
     .await;
 }
+
+/// The type that the client likes best, by its `q`; JSON when it takes all or none of them.
+#[tokio::test]
+async fn the_accepted_type_is_answered() {
+    let server = Server::start().await;
+    let scene = server.scene("s", 2).await;
+    insert(&server, &scene, 1).await;
+    const CSV: &str = "text/csv; charset=utf-8";
+    for (accept, history, cubes) in [
+        ("*/*", JSON, JSON),
+        ("text/html", JSON, JSON),
+        ("text/csv", CSV, JSON),
+        ("Text/CSV;q=0.5", CSV, JSON),
+        ("text/csv;q=0.5, application/json", JSON, JSON),
+        ("application/json;q=0.1, text/csv;q=0.5", CSV, JSON),
+        ("application/x-ndjson, text/csv;q=0.9", NDJSON, NDJSON),
+        ("text/csv;q=0, application/x-ndjson;q=0.1", NDJSON, NDJSON),
+        ("text/*, application/json;q=0.9", CSV, JSON),
+    ] {
+        for (call, expected) in [("history", history), ("cubes", cubes)] {
+            let request = server.request("GET", &format!("{scene}/{call}"));
+            let answer = send(request.header("accept", accept)).await;
+            assert_eq!(
+                answer.header("content-type"),
+                expected,
+                "{call} for {accept}"
+            );
+            assert_eq!(answer.header("vary").split(',').next(), Some("accept"));
+        }
+    }
+}

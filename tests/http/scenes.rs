@@ -81,3 +81,26 @@ async fn wrong_settings_are_named() {
     }
     assert_eq!(server.get("/v1/scenes").await.ok()["scenes"], json!([]));
 }
+
+/// What the API makes of a scene's settings is made once, not for every request.
+#[tokio::test]
+async fn settings_are_read_once_a_scene() {
+    let server = Server::start().await;
+    let name = union3d::service::SceneName::new("s").unwrap();
+    let edge = union3d::geometry::Edge::new(2).unwrap();
+    let (scene, _) = server
+        .service
+        .create(&name, edge, None, "text")
+        .await
+        .unwrap();
+    let mut readings = 0;
+    for _ in 0..3 {
+        let made = scene.settings_as(|text| {
+            readings += 1;
+            (readings > 1).then(|| text.len())
+        });
+        assert_eq!(made.as_deref(), (readings > 1).then_some(&4));
+    }
+    // Nothing was made of them at first, and that was not kept.
+    assert_eq!(readings, 2);
+}

@@ -38,8 +38,7 @@ pub enum Rounding {
     Reject,
 }
 
-/// Settings of a scene. As they are answered and stored they are complete, and equal settings have equal texts; a client may leave out
-/// all but `edge`.
+/// Settings of a scene. As they are answered and stored they are complete; a client may leave out all but `edge`.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(remote = "Self", deny_unknown_fields)]
 #[schema(as = Settings)]

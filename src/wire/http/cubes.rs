@@ -63,7 +63,8 @@ pub(crate) struct CubePage {
 
 /// List the cubes
 ///
-/// A page at a time, or with `Accept: application/x-ndjson` all as of one seq, each a line that can be posted back. A cube that is
+/// A page at a time, or with `Accept: application/x-ndjson` (and without `after` and `limit`) all as of one seq, each a line that can be
+/// posted back. A cube that is
 /// there during the whole listing is listed exactly once, whatever changes meanwhile.
 #[utoipa::path(
     get, path = "/v1/scenes/{scene}/cubes", tag = "cubes",
@@ -72,7 +73,6 @@ pub(crate) struct CubePage {
         ("after" = Option<String>, Query, description = "`next` of the page before"),
         ("ids" = inline(Option<IdForm>), Query, description = "`text`: ids are answered as decimal strings, which JavaScript keeps exact above 2^53", example = "text"),
         ("limit" = Option<usize>, Query, minimum = 1, maximum = 100_000, description = "Most cubes in the answer, 1 to 100,000; 1,000 if left out"),
-        ("Accept" = Option<String>, Header, description = "`application/x-ndjson` for all cubes as lines; then without `after` and `limit`"),
     ),
     responses((status = 200, description = "Cubes", content(
         (CubePage = "application/json"),
