@@ -19,11 +19,12 @@ const MAY_NAME: [(&str, &[&str]); 7] = [
 const INTEGERS_ONLY: [&str; 4] = ["geometry", "engine", "log", "service"];
 
 /// The rooms of these modules that hold floats: they certify signs and roundings of exact integers, with the proof beside them.
-const ROOMS_OF_FLOATS: [&str; 4] = [
+const ROOMS_OF_FLOATS: [&str; 5] = [
     "src/engine/solids/certify.rs",
     "src/engine/solids/double.rs",
     "src/engine/solids/lanes.rs",
     "src/engine/solids/ledger.rs",
+    "src/engine/solids/vector.rs",
 ];
 
 fn root() -> &'static Path {

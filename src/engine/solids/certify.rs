@@ -34,8 +34,8 @@
     reason = "they become part of the inner loops, with the instructions of those"
 )]
 
-use crate::geometry::COORDINATE_MAX;
 use crate::geometry::convex::Plane;
+use crate::geometry::{Bounds, COORDINATE_MAX};
 
 /// Twice the greatest coordinate.
 const REACH: f64 = 2.0 * COORDINATE_MAX as f64;
@@ -104,7 +104,7 @@ impl Rough {
         let normal = plane.normal().map(|component| component as f64);
         Self {
             normal,
-            offset: plane.offset() as f64,
+            offset: rounded(plane.offset()),
             length: normal[0].abs() + normal[1].abs() + normal[2].abs(),
         }
     }
@@ -120,6 +120,12 @@ impl Rough {
     #[inline(always)]
     pub(super) fn bound(&self, slack: f64) -> f64 {
         self.length * (slack + GRAIN)
+    }
+
+    /// The sign of the value at a point, if it is certain.
+    #[inline]
+    pub(super) fn side(&self, near: &Near) -> Option<i32> {
+        certain(self.value(&near.at), self.bound(near.slack))
     }
 
     /// The sign of `self . (other x t)`, if it is certain.
@@ -149,12 +155,18 @@ pub(super) struct Way {
 
 impl Way {
     pub(super) fn of(direction: [i128; 3]) -> Self {
-        let direction = direction.map(|component| component as f64);
+        let direction = direction.map(rounded);
         Self {
             direction,
             length: direction[0].abs() + direction[1].abs() + direction[2].abs(),
         }
     }
+}
+
+/// The nearest float, without the detour for wide integers where it is short.
+#[inline]
+fn rounded(value: i128) -> f64 {
+    i64::try_from(value).map_or(value as f64, |value| value as f64)
 }
 
 /// The sign of a value, if it is beyond its bound.
@@ -187,6 +199,14 @@ impl Room {
         }
     }
 
+    /// A box of lattice points.
+    pub(super) fn of(bounds: &Bounds) -> Self {
+        Self {
+            min: bounds.min.map(f64::from),
+            max: bounds.max.map(f64::from),
+        }
+    }
+
     /// No box: it grows with every point.
     pub(super) fn empty() -> Self {
         Self {
@@ -201,6 +221,28 @@ impl Room {
             self.min[axis] = self.min[axis].min(point.at[axis] - point.slack);
             self.max[axis] = self.max[axis].max(point.at[axis] + point.slack);
         }
+    }
+
+    /// The least box around both.
+    pub(super) fn joined(&self, other: &Self) -> Self {
+        Self {
+            min: [0, 1, 2].map(|axis: usize| self.min[axis].min(other.min[axis])),
+            max: [0, 1, 2].map(|axis: usize| self.max[axis].max(other.max[axis])),
+        }
+    }
+
+    /// Whether it holds the other box.
+    pub(super) fn holds(&self, other: &Self) -> bool {
+        (0..3).all(|axis| self.min[axis] <= other.min[axis] && other.max[axis] <= self.max[axis])
+    }
+
+    /// Whether a point is certainly outside.
+    #[inline]
+    pub(super) fn excludes(&self, point: &Near) -> bool {
+        let slack = point.slack;
+        (0..3).any(|axis| {
+            point.at[axis] + slack < self.min[axis] || point.at[axis] - slack > self.max[axis]
+        })
     }
 
     /// Whether the two have a point in common.

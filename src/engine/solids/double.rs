@@ -1,4 +1,4 @@
-//! Double-double arithmetic in four lanes: a number is the unevaluated sum of two floats, about 106 bits.
+//! Double-double arithmetic in lanes: a number is the unevaluated sum of two floats, about 106 bits.
 //!
 //! Knows nothing of geometry. One of the rooms that hold floats: nothing here is ever a result, only the flags' first attempt
 //! at a rounding, which `flags.rs` certifies or gives up.
@@ -25,7 +25,7 @@
 //! ACM Transactions on Mathematical Software 44(2), 2017.
 
 #![expect(
-    clippy::float_arithmetic,
+    clippy::cast_precision_loss,
     reason = "floats certify roundings and are never a result"
 )]
 #![expect(
@@ -33,58 +33,48 @@
     reason = "they become part of the caller, with its instructions"
 )]
 
+use super::vector::Vector;
+
 /// Greatest relative error of one operation: `2^-102`.
-#[cfg(test)]
-const RELATIVE_ERROR: f64 = 1.0 / (1_u128 << 102) as f64;
+pub(super) const RELATIVE_ERROR: f64 = 1.0 / (1_u128 << 102) as f64;
 
-/// Numbers computed at once.
-pub(super) const LANES: usize = 4;
-
-/// One float in each lane.
-type Lanes = [f64; LANES];
-
-#[inline(always)]
-fn each(of: impl Fn(usize) -> f64) -> Lanes {
-    [of(0), of(1), of(2), of(3)]
-}
-
-/// Four double-doubles.
+/// Double-doubles, one in each lane.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Doubles {
+pub(super) struct Doubles<V> {
     /// The numbers, rounded.
-    pub(super) high: Lanes,
+    pub(super) high: V,
     /// What is missing: at most half a unit in the last place of `high`.
-    pub(super) low: Lanes,
+    pub(super) low: V,
 }
 
-impl Doubles {
+impl<V: Vector> Doubles<V> {
     /// Numbers that are single floats.
     #[inline(always)]
-    pub(super) fn single(high: Lanes) -> Self {
-        let low = [0.0; LANES];
+    pub(super) fn single(high: V) -> Self {
+        let low = V::splat(0.0);
         Self { high, low }
     }
 
     /// One in each lane.
     #[inline(always)]
     pub(super) fn one() -> Self {
-        Self::single([1.0; LANES])
+        Self::single(V::splat(1.0))
     }
 
-    /// The rounded sum of two lanes and what rounding took away.
+    /// The rounded sums and what rounding took away.
     #[inline(always)]
-    fn two_sum(a: Lanes, b: Lanes) -> Self {
-        let high = each(|lane| a[lane] + b[lane]);
-        let back = each(|lane| high[lane] - a[lane]);
-        let low = each(|lane| (a[lane] - (high[lane] - back[lane])) + (b[lane] - back[lane]));
+    fn two_sum(a: V, b: V) -> Self {
+        let high = a.plus(b);
+        let back = high.minus(a);
+        let low = a.minus(high.minus(back)).plus(b.minus(back));
         Self { high, low }
     }
 
     /// The same where no lane of `b` is greater than that of `a`.
     #[inline(always)]
-    fn fast_two_sum(a: Lanes, b: Lanes) -> Self {
-        let high = each(|lane| a[lane] + b[lane]);
-        let low = each(|lane| b[lane] - (high[lane] - a[lane]));
+    fn fast_two_sum(a: V, b: V) -> Self {
+        let high = a.plus(b);
+        let low = b.minus(high.minus(a));
         Self { high, low }
     }
 
@@ -92,17 +82,15 @@ impl Doubles {
     pub(super) fn plus(self, other: Self) -> Self {
         let high = Self::two_sum(self.high, other.high);
         let low = Self::two_sum(self.low, other.low);
-        let carry = each(|lane| high.low[lane] + low.high[lane]);
-        let sum = Self::fast_two_sum(high.high, carry);
-        let rest = each(|lane| low.low[lane] + sum.low[lane]);
-        Self::fast_two_sum(sum.high, rest)
+        let sum = Self::fast_two_sum(high.high, high.low.plus(low.high));
+        Self::fast_two_sum(sum.high, low.low.plus(sum.low))
     }
 
     #[inline(always)]
     pub(super) fn negative(self) -> Self {
         Self {
-            high: self.high.map(|value| -value),
-            low: self.low.map(|value| -value),
+            high: self.high.negative(),
+            low: self.low.negative(),
         }
     }
 
@@ -114,43 +102,42 @@ impl Doubles {
     #[inline(always)]
     pub(super) fn times(self, other: Self) -> Self {
         let (a, b) = (self, other);
-        let high = each(|lane| a.high[lane] * b.high[lane]);
-        let rest = each(|lane| a.high[lane].mul_add(b.high[lane], -high[lane]));
-        let across = each(|lane| a.high[lane] * b.low[lane]);
-        let across = each(|lane| a.low[lane].mul_add(b.high[lane], across[lane]));
-        Self::fast_two_sum(high, each(|lane| rest[lane] + across[lane]))
+        let high = a.high.times(b.high);
+        let rest = a.high.times_plus(b.high, high.negative());
+        let across = a.low.times_plus(b.high, a.high.times(b.low));
+        Self::fast_two_sum(high, rest.plus(across))
     }
 
     #[inline(always)]
     pub(super) fn over(self, other: Self) -> Self {
-        let quotient = each(|lane| self.high[lane] / other.high[lane]);
-        let product = other.times(Self::single(quotient));
-        let rest = self.minus(product);
-        let more = each(|lane| rest.high[lane] / other.high[lane]);
-        Self::fast_two_sum(quotient, more)
+        let quotient = self.high.over(other.high);
+        let rest = self.minus(other.times(Self::single(quotient)));
+        Self::fast_two_sum(quotient, rest.high.over(other.high))
     }
 
     /// The square root of positive numbers.
     #[inline(always)]
     pub(super) fn root(self) -> Self {
-        let root = each(|lane| self.high[lane].sqrt());
+        let root = self.high.root();
         let square = Self::single(root).times(Self::single(root));
         let rest = self.minus(square);
-        let more = each(|lane| rest.high[lane] / (2.0 * root[lane]));
-        Self::fast_two_sum(root, more)
+        Self::fast_two_sum(root, rest.high.over(root.plus(root)))
     }
 }
 
 /// The dot product of two vectors.
 #[inline(always)]
-pub(super) fn dot(a: &[Doubles; 3], b: &[Doubles; 3]) -> Doubles {
-    let [x, y, z] = [0, 1, 2].map(|axis: usize| a[axis].times(b[axis]));
+pub(super) fn dot<V: Vector>(a: &[Doubles<V>; 3], b: &[Doubles<V>; 3]) -> Doubles<V> {
+    let (x, y, z) = (a[0].times(b[0]), a[1].times(b[1]), a[2].times(b[2]));
     x.plus(y).plus(z)
 }
 
 /// The cross product of two vectors.
 #[inline(always)]
-pub(super) fn cross(a: &[Doubles; 3], b: &[Doubles; 3]) -> [Doubles; 3] {
-    let component = |i: usize, j: usize| a[i].times(b[j]).minus(a[j].times(b[i]));
-    [component(1, 2), component(2, 0), component(0, 1)]
+pub(super) fn cross<V: Vector>(a: &[Doubles<V>; 3], b: &[Doubles<V>; 3]) -> [Doubles<V>; 3] {
+    [
+        a[1].times(b[2]).minus(a[2].times(b[1])),
+        a[2].times(b[0]).minus(a[0].times(b[2])),
+        a[0].times(b[1]).minus(a[1].times(b[0])),
+    ]
 }

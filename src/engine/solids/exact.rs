@@ -129,6 +129,20 @@ pub(super) enum Quantity {
     Second(usize, usize),
 }
 
+/// The unit that a value is rounded to: `factor 2^exponent`.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) struct Unit {
+    pub(super) factor: u128,
+    pub(super) exponent: i32,
+}
+
+impl Unit {
+    /// How many units of `2^exponent` it is; none is smaller.
+    pub(super) fn above(self, exponent: i32) -> u128 {
+        self.factor << (self.exponent - exponent).unsigned_abs()
+    }
+}
+
 /// A flag in whole numbers: a point, a line through it, a plane through the line.
 pub(super) struct Flag<'a> {
     pub(super) point: Homogeneous,
@@ -160,7 +174,7 @@ impl Fraction {
 }
 
 impl Flag<'_> {
-    /// The flag's value of a quantity in units of `2^unit`, rounded half away from zero from the exact value.
+    /// The flag's value of a quantity in a unit, rounded half away from zero from the exact value.
     ///
     /// With `t` the direction, `n` the normal and `m = n x t`, all as they are, `T = t.t` and `N = n.n`, so that `m.m = N T`:
     ///
@@ -171,7 +185,7 @@ impl Flag<'_> {
     ///            second moment   v (F F + G G + P P + (F + G + P)(F + G + P))
     /// ```
     /// The moments are those of the orthoscheme with corners at the origin, F, G and P, times 24 and 120.
-    pub(super) fn rounded(&self, quantity: Quantity, unit: i32) -> i128 {
+    pub(super) fn rounded(&self, quantity: Quantity, unit: Unit) -> i128 {
         let x = self.point.x.map(big);
         let w = big(self.point.w);
         let t = self.direction.map(BigInt::from);
@@ -220,15 +234,16 @@ impl Flag<'_> {
     }
 }
 
-/// `over / (under * sqrt(radicand))` in units of `2^unit`, rounded half away from zero.
-fn round(over: &BigInt, under: &BigInt, radicand: &BigInt, unit: i32) -> i128 {
+/// `over / (under * sqrt(radicand))` in a unit, rounded half away from zero.
+fn round(over: &BigInt, under: &BigInt, radicand: &BigInt, unit: Unit) -> i128 {
     let negative = (over.sign() == Sign::Minus) != (under.sign() == Sign::Minus);
     let (over, under) = (
         BigInt::from(over.magnitude().clone()),
         BigInt::from(under.magnitude().clone()),
     );
-    let shift = unit.unsigned_abs();
-    let (over, under) = if unit < 0 {
+    let under = under * BigInt::from(unit.factor);
+    let shift = unit.exponent.unsigned_abs();
+    let (over, under) = if unit.exponent < 0 {
         (over << shift, under)
     } else {
         (over, under << shift)

@@ -14,10 +14,8 @@
 
 use super::certify::{GRAIN, Near, Room};
 use super::piece::{Corner, Face};
-
-/// Planes or boxes in a block.
-pub(super) const LANES: usize = 4;
-type Lanes = [f64; LANES];
+pub(super) use super::vector::LANES;
+use super::vector::{Lanes, Vector};
 
 /// Four planes side by side. Places without a plane hold one that contains everything.
 #[derive(Clone, Copy, Debug)]
@@ -49,23 +47,21 @@ impl Block {
     }
 
     #[inline(always)]
-    fn values(&self, at: &[f64; 3]) -> Lanes {
-        let [x, y, z] = &self.normal;
-        let value = |lane: usize| {
-            x[lane] * at[0] + (y[lane] * at[1] + (z[lane] * at[2] + self.offset[lane]))
-        };
-        [value(0), value(1), value(2), value(3)]
+    fn values<V: Vector>(&self, at: [V; 3]) -> V {
+        let z = V::of(&self.normal[2])
+            .times(at[2])
+            .plus(V::of(&self.offset));
+        let y = V::of(&self.normal[1]).times(at[1]).plus(z);
+        V::of(&self.normal[0]).times(at[0]).plus(y)
     }
 }
 
-/// Bits of the lanes where `a > b`.
 #[inline(always)]
-fn greater(a: Lanes, b: Lanes) -> u8 {
-    let bit = |lane: usize| u8::from(a[lane] > b[lane]) << lane;
-    bit(0) | bit(1) | bit(2) | bit(3)
+fn splat<V: Vector>(at: &[f64; 3]) -> [V; 3] {
+    [V::splat(at[0]), V::splat(at[1]), V::splat(at[2])]
 }
 
-/// Declares a function twice: for any processor, and with AVX2 and FMA, chosen at run time.
+/// Declares a function twice, over plain lanes for any processor and over wide ones, chosen at run time.
 macro_rules! twice {
     ($(#[$doc:meta])* $visible:vis $name:ident, $wide:ident, $body:ident, ($($argument:ident: $type:ty),*) -> $result:ty) => {
         $(#[$doc])*
@@ -75,7 +71,7 @@ macro_rules! twice {
             {
                 #[target_feature(enable = "avx2,fma")]
                 fn $wide($($argument: $type),*) -> $result {
-                    $body($($argument),*)
+                    $body::<$crate::engine::solids::vector::Wide>($($argument),*)
                 }
                 if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
                     // SAFETY: the processor has the instructions.
@@ -83,7 +79,7 @@ macro_rules! twice {
                     return unsafe { $wide($($argument),*) };
                 }
             }
-            $body($($argument),*)
+            $body::<$crate::engine::solids::vector::Plain>($($argument),*)
         }
     };
 }
@@ -105,27 +101,24 @@ twice! {
 }
 
 #[inline(always)]
-fn separate_body(
+fn separate_body<V: Vector>(
     blocks: &[Block],
     points: [&Near; 2],
     first: usize,
     near: &mut Vec<u16>,
 ) -> Verdict {
     near.clear();
-    let slack = points[0].slack.max(points[1].slack) + GRAIN;
+    let slack = V::splat(points[0].slack.max(points[1].slack) + GRAIN);
+    let ends = [splat::<V>(&points[0].at), splat::<V>(&points[1].at)];
     let mut at = if first < blocks.len() { first } else { 0 };
     for _ in 0..blocks.len() {
         let block = &blocks[at];
-        let bound = block.length.map(|length| length * slack);
-        let (a, b) = (block.values(&points[0].at), block.values(&points[1].at));
-        let least =
-            [0, 1, 2, 3].map(|lane: usize| if a[lane] < b[lane] { a[lane] } else { b[lane] });
-        let most =
-            [0, 1, 2, 3].map(|lane: usize| if a[lane] > b[lane] { a[lane] } else { b[lane] });
-        if greater(least, bound) != 0 {
+        let bound = V::of(&block.length).times(slack);
+        let (a, b) = (block.values(ends[0]), block.values(ends[1]));
+        if a.least(b).greater(bound) != 0 {
             return Verdict::Apart(at);
         }
-        let mut unsure = !greater(bound.map(|bound| -bound), most) & 0b1111;
+        let mut unsure = !bound.negative().greater(a.most(b)) & 0b1111;
         while unsure != 0 {
             let facet = at * LANES + unsure.trailing_zeros() as usize;
             near.push(u16::try_from(facet).expect("a piece has fewer than 2^16 facets"));
@@ -223,13 +216,19 @@ twice! {
 }
 
 #[inline(always)]
-fn meeting_body(blocks: &[Rooms], room: &Room, except: [usize; 2], found: &mut Vec<usize>) {
+fn meeting_body<V: Vector>(
+    blocks: &[Rooms],
+    room: &Room,
+    except: [usize; 2],
+    found: &mut Vec<usize>,
+) {
     found.clear();
+    let (min, max) = (splat::<V>(&room.min), splat::<V>(&room.max));
     for (number, block) in blocks.iter().enumerate() {
         let mut apart = 0;
         for axis in 0..3 {
-            apart |= greater(block.min[axis], [room.max[axis]; LANES]);
-            apart |= greater([room.min[axis]; LANES], block.max[axis]);
+            apart |= V::of(&block.min[axis]).greater(max[axis]);
+            apart |= min[axis].greater(V::of(&block.max[axis]));
         }
         let mut meet = !apart & 0b1111;
         while meet != 0 {
@@ -248,17 +247,20 @@ twice! {
 }
 
 #[inline(always)]
-fn separates_body(blocks: &[Block], corners: &[Corner], points: &[u16]) -> bool {
-    blocks.iter().any(|block| {
+fn separates_body<V: Vector>(blocks: &[Block], corners: &[Corner], points: &[u16]) -> bool {
+    for block in blocks {
         let mut outside = 0b1111;
         for &point in points {
             let near = &corners[usize::from(point)].near;
-            let bound = block.length.map(|length| length * (near.slack + GRAIN));
-            outside &= greater(block.values(&near.at), bound);
+            let bound = V::of(&block.length).times(V::splat(near.slack + GRAIN));
+            outside &= block.values(splat::<V>(&near.at)).greater(bound);
             if outside == 0 {
-                return false;
+                break;
             }
         }
-        true
-    })
+        if outside != 0 {
+            return true;
+        }
+    }
+    false
 }

@@ -14,7 +14,7 @@
 //!
 //! # Units
 //! Length `2^-20`, area `2^-16`. Volume and moments, of degree `g = 3, 4, 5`, have the unit `2^max(-4, g k - (80, 78, 74))`, where `k`, the
-//! *size class* of the point, is the least with all coordinates below `2^k` in size: beyond `k = 25`, `18`, `14` the fixed point follows
+//! *size class* of the point, is the least with all coordinates below `2^k` in size, and above 1 one more, so that the unit is odd and no whole number a tie: beyond `k = 25`, `18`, `14` the fixed point follows
 //! the magnitude, so that a double-double still decides nearly always.
 //!
 //! # Proof of the bounds
@@ -36,6 +36,7 @@
 //! | `Q = FF + GG + PP + SS`, at most `36 B^2` | `2 (1.74 (11 + 28 + 3) + 5.2 * 53) + 4 * 36 < 842` | |
 //! | second moment `V Q` | `36 * 148 + 5.2 * 842 + 187 < 9894` | `2^14` |
 //!
+//! Division by an odd unit is one more operation on `V`, `V S` and `V Q`: at most `2 * (5.2, 27, 187)` more, within the bounds used.
 //! A value in its unit is then below `2^86`, and its error at most `2^(14 - 102 + 74) = 2^-14` (the second moment of a far point); a
 //! value closer than that to a tie is rounded again from the exact flag in big integers.
 //! The `paranoid` feature compares every rounding with the exact one.
@@ -55,15 +56,14 @@ use ethnum::I256;
 
 use crate::geometry::convex::Plane;
 
+use super::certify::{Near, Room};
 use super::clip::{Arithmetic, Line, Place, Vertex};
-use super::double::{Doubles, LANES, cross, dot};
-use super::exact::{Flag, Homogeneous, Quantity};
+use super::double::{Doubles, RELATIVE_ERROR, cross, dot};
+use super::exact::{Flag, Homogeneous, Quantity, Unit};
 use super::lanes::twice;
 use super::measures::{AREA_UNIT, ErrorMax, LENGTH_UNIT, Measures, VOLUME_UNIT};
 use super::sector::Sheets;
-
-/// Relative error of one operation: `2^-102`.
-const OPERATION: f64 = 1.0 / (1_u128 << 102) as f64;
+use super::vector::{LANES, Lanes, Plain, Vector};
 
 /// Size classes: coordinates below `2^0` to `2^31`.
 const CLASSES: usize = 32;
@@ -84,15 +84,26 @@ const QUANTITIES: [Quantity; 12] = [
     Quantity::Second(2, 0),
 ];
 
-/// Exponent of the unit of a quantity at a point of a size class.
-fn unit(quantity: Quantity, class: u8) -> i32 {
+/// The unit of a quantity at a point of a size class.
+fn unit(quantity: Quantity, class: u8) -> Unit {
     let class = i32::from(class);
-    match quantity {
+    let exponent = match quantity {
         Quantity::Length => LENGTH_UNIT,
         Quantity::Area => AREA_UNIT,
         Quantity::Volume => VOLUME_UNIT.max(3 * class - 80),
         Quantity::First(_) => VOLUME_UNIT.max(4 * class - 78),
         Quantity::Second(..) => VOLUME_UNIT.max(5 * class - 74),
+    };
+    if exponent < 1 {
+        Unit {
+            factor: 1,
+            exponent,
+        }
+    } else {
+        Unit {
+            factor: (1 << exponent) + 1,
+            exponent: 0,
+        }
     }
 }
 
@@ -105,9 +116,24 @@ fn error(quantity: Quantity, class: u8) -> f64 {
         Quantity::First(_) => (4, 11),
         Quantity::Second(..) => (5, 14),
     };
-    let exponent = power * i32::from(class) + bits - unit(quantity, class);
-    // Half an ulp of 1 for the last difference.
-    OPERATION * power_of_two(exponent) + power_of_two(-52)
+    let Unit { factor, exponent } = unit(quantity, class);
+    let size = power_of_two(power * i32::from(class) + bits - exponent) / factor as f64;
+    // Half an ulp of 1 for the last difference, and some for the rounding of this.
+    RELATIVE_ERROR * size * (1.0 + power_of_two(-40)) + power_of_two(-52)
+}
+
+/// One over a unit, as a double-double.
+fn reciprocal(Unit { factor, exponent }: Unit) -> (f64, f64) {
+    if factor == 1 {
+        return (power_of_two(-exponent), 0.0);
+    }
+    let (high, low) = double(I256::from(factor));
+    let under = Doubles {
+        high: Plain::splat(high),
+        low: Plain::splat(low),
+    };
+    let quotient = Doubles::one().over(under);
+    (quotient.high.lanes()[0], quotient.low.lanes()[0])
 }
 
 /// `2^exponent` for a normal float.
@@ -133,6 +159,8 @@ struct Entry {
     plane: Plane,
     normal: [f64; 3],
     direction: [i128; 3],
+    /// The same as double-doubles.
+    way: [(f64, f64); 3],
     /// 1 to the left of the line, -1 to the right.
     side: i8,
     weight: i8,
@@ -142,14 +170,20 @@ struct Entry {
 /// What each size class adds up to, in its units.
 type Sums = [[i128; QUANTITIES.len() - 2]; CLASSES];
 
+/// By size class and quantity: units of 1, and the greatest distance from a whole number that is no tie.
+#[derive(Debug)]
+struct Tables {
+    scales: [[(f64, f64); QUANTITIES.len()]; CLASSES],
+    distances: [[f64; QUANTITIES.len()]; CLASSES],
+}
+
 /// Collects the sheets of one marginal and adds up their flags.
 #[derive(Debug)]
 pub(super) struct Ledger {
     arithmetic: Arithmetic,
     entries: Vec<Entry>,
     points: Vec<Point>,
-    errors: [[f64; QUANTITIES.len()]; CLASSES],
-    scales: [[f64; QUANTITIES.len()]; CLASSES],
+    tables: Box<Tables>,
     /// Flags rounded so far, and the greatest size class among their points.
     flags: u64,
     class_max: u8,
@@ -157,28 +191,24 @@ pub(super) struct Ledger {
 
 impl Ledger {
     pub(super) fn new(arithmetic: Arithmetic) -> Self {
-        let mut errors = [[0.0; QUANTITIES.len()]; CLASSES];
-        let mut scales = errors;
+        let mut tables = Box::new(Tables {
+            scales: [[(0.0, 0.0); QUANTITIES.len()]; CLASSES],
+            distances: [[0.0; QUANTITIES.len()]; CLASSES],
+        });
         for class in 0..CLASSES {
             for (index, quantity) in QUANTITIES.into_iter().enumerate() {
-                errors[class][index] = error(quantity, class as u8);
-                scales[class][index] = power_of_two(-unit(quantity, class as u8));
+                tables.scales[class][index] = reciprocal(unit(quantity, class as u8));
+                tables.distances[class][index] = 0.5 - error(quantity, class as u8);
             }
         }
         Self {
             arithmetic,
             entries: Vec::new(),
             points: Vec::new(),
-            errors,
-            scales,
+            tables,
             flags: 0,
             class_max: 0,
         }
-    }
-
-    /// Whether nothing was posted that changes the union.
-    pub(super) fn is_empty(&self) -> bool {
-        self.entries.is_empty()
     }
 
     /// Adds the sheets along an interval, so many times.
@@ -188,12 +218,14 @@ impl Ledger {
         }
         let tail = u32::try_from(self.points.len()).expect("far fewer than 2^32 points");
         self.points.extend(ends.map(|end| Point::of(&end)));
+        let way = line.direction.map(exact_double);
         for sheet in &sheets.sheets {
             self.entries.push(Entry {
                 tail,
                 plane: sheet.face.plane,
                 normal: sheet.face.rough.normal,
                 direction: line.direction,
+                way,
                 side: sheet.side as i8,
                 weight,
                 kind: sheets.kind as u8,
@@ -223,6 +255,19 @@ impl Ledger {
         self.post(line, ends, &after, 1);
     }
 
+    /// A box around all that changes; none when nothing does.
+    pub(super) fn room(&self) -> Option<Room> {
+        let rooms = self.entries.iter().map(|entry| {
+            let [tail, head] = [0, 1].map(|end: u32| &self.points[(entry.tail + end) as usize]);
+            let near = |point: &Point| Near {
+                at: point.high,
+                slack: 0.0,
+            };
+            Room::around(&near(tail), &near(head))
+        });
+        rooms.reduce(|one, other| one.joined(&other))
+    }
+
     /// Adds up everything posted, and forgets it.
     pub(super) fn settle(&mut self) -> Measures {
         let mut measures = Measures::default();
@@ -234,23 +279,20 @@ impl Ledger {
             // Missing lanes repeat the first entry.
             let lane = |index: usize| entries.get(index).unwrap_or(&entries[0]);
             let four = [lane(0), lane(1), lane(2), lane(3)];
-            let ends = values(&four, &self.points);
+            let ends = values(&four, &self.points, &self.tables);
             for (end, values) in ends.iter().enumerate() {
                 for (lane, entry) in entries.iter().enumerate() {
                     let point = &self.points[entry.tail as usize + end];
-                    let mut rounded = [0; QUANTITIES.len()];
-                    for (index, value) in values.iter().enumerate() {
-                        rounded[index] =
-                            self.round(entry, point, index, value.high[lane], value.low[lane]);
-                    }
+                    let value =
+                        |index: usize| self.value(entry, point, index, &values[index], lane);
                     // The head's direction is the opposite one, and a sheet to the right has its foot the other way.
                     let sign = if end == 0 { 1 } else { -1 } * i128::from(entry.weight);
-                    measures.edge_length2[usize::from(entry.kind)] -= sign * rounded[0];
+                    measures.edge_length2[usize::from(entry.kind)] -= sign * value(0);
                     let sign = sign * i128::from(entry.side);
-                    measures.area2 += sign * rounded[1];
+                    measures.area2 += sign * value(1);
                     let sums = &mut sums[usize::from(point.class)];
-                    for (sum, rounded) in sums.iter_mut().zip(&rounded[2..]) {
-                        *sum += sign * rounded;
+                    for (index, sum) in (2..).zip(sums.iter_mut()) {
+                        *sum += sign * value(index);
                     }
                 }
             }
@@ -268,8 +310,8 @@ impl Ledger {
     /// How far off all roundings so far can be together: half a unit for each flag, the units those of the farthest point.
     pub(super) fn error_max(&self) -> ErrorMax {
         let of = |quantity, fixed: i32| {
-            let shift = (unit(quantity, self.class_max) - fixed).unsigned_abs();
-            (u128::from(self.flags) << shift).div_ceil(2)
+            let size = unit(quantity, self.class_max).above(fixed);
+            (u128::from(self.flags) * size).div_ceil(2)
         };
         ErrorMax {
             volume6: of(Quantity::Volume, VOLUME_UNIT),
@@ -280,11 +322,16 @@ impl Ledger {
         }
     }
 
+    /// The rounded value of one quantity in one lane, in big integers where floats are not sure.
     #[inline]
-    fn round(&self, entry: &Entry, point: &Point, index: usize, high: f64, low: f64) -> i128 {
-        let class = usize::from(point.class);
-        let scale = self.scales[class][index];
-        let rounded = nearest(high * scale, low * scale, self.errors[class][index]);
+    fn value(
+        &self,
+        entry: &Entry,
+        point: &Point,
+        index: usize,
+        rounded: &Rounded,
+        lane: usize,
+    ) -> i128 {
         let exactly = || {
             let flag = Flag {
                 point: point.place,
@@ -293,43 +340,33 @@ impl Ledger {
             };
             flag.rounded(QUANTITIES[index], unit(QUANTITIES[index], point.class))
         };
-        match rounded {
-            Some(rounded) if self.arithmetic == Arithmetic::Filtered => {
-                #[cfg(feature = "paranoid")]
-                assert_eq!(rounded, exactly(), "the rounding's bound holds");
-                rounded
-            }
-            _ => exactly(),
+        if rounded.unsure >> lane & 1 == 1 || self.arithmetic == Arithmetic::Exact {
+            return exactly();
         }
+        let value = integer(rounded.whole[lane]) + i128::from(rounded.more[lane] as i64);
+        #[cfg(feature = "paranoid")]
+        assert_eq!(value, exactly(), "the rounding's bound holds");
+        value
     }
 }
 
 impl Measures {
     /// Adds what the points of a size class add up to.
     fn collect(&mut self, class: u8, sums: &[i128; QUANTITIES.len() - 2]) {
-        let shift = |quantity| (unit(quantity, class) - VOLUME_UNIT).unsigned_abs();
-        let volume = sums[0] << shift(Quantity::Volume);
+        let size = |quantity| {
+            let size = unit(quantity, class).above(VOLUME_UNIT);
+            i128::try_from(size).expect("a unit is below 2^90")
+        };
+        let volume = sums[0].wrapping_mul(size(Quantity::Volume));
         self.volume6 = self.volume6.wrapping_add(volume);
+        let scaled = |sum: &i128, quantity| I256::from(*sum) * I256::from(size(quantity));
         for (moment, sum) in self.first_moments24.iter_mut().zip(&sums[1..4]) {
-            *moment += I256::from(*sum) << shift(Quantity::First(0));
+            *moment += scaled(sum, Quantity::First(0));
         }
         for (moment, sum) in self.second_moments120.iter_mut().zip(&sums[4..]) {
-            *moment += I256::from(*sum) << shift(Quantity::Second(0, 0));
+            *moment += scaled(sum, Quantity::Second(0, 0));
         }
     }
-}
-
-/// The nearest integer to `high + low`, unless a tie is within the error. Range: below `2^93`.
-#[inline]
-fn nearest(high: f64, low: f64, error: f64) -> Option<i128> {
-    let whole = high.round_ties_even();
-    // Exact where `high` has a fraction, and 0 where it has none.
-    let rest = (high - whole) + low;
-    let more = rest.round_ties_even();
-    if (rest - more).abs() >= 0.5 - error {
-        return None;
-    }
-    Some(integer(whole) + i128::from(more as i64))
 }
 
 /// A whole float as an integer. Range: below `2^93`.
@@ -362,15 +399,16 @@ impl Point {
                 let [x, y, z] = place.x.map(double);
                 let (w_high, w_low) = double(place.w);
                 let over = Doubles {
-                    high: [x.0, y.0, z.0, 0.0],
-                    low: [x.1, y.1, z.1, 0.0],
+                    high: Plain::of(&[x.0, y.0, z.0, 0.0]),
+                    low: Plain::of(&[x.1, y.1, z.1, 0.0]),
                 };
                 let under = Doubles {
-                    high: [w_high; LANES],
-                    low: [w_low; LANES],
+                    high: Plain::splat(w_high),
+                    low: Plain::splat(w_low),
                 };
-                let [x, y, z, _] = over.over(under).high;
-                let [x_low, y_low, z_low, _] = over.over(under).low;
+                let quotients = over.over(under);
+                let [x, y, z, _] = quotients.high.lanes();
+                let [x_low, y_low, z_low, _] = quotients.low.lanes();
                 let size = x.abs().max(y.abs()).max(z.abs());
                 Self {
                     place,
@@ -414,77 +452,132 @@ fn double(value: I256) -> (f64, f64) {
 }
 
 /// A direction's component, exactly. Range: below `2^106`.
-#[inline]
-fn double_of_direction(component: i128) -> (f64, f64) {
-    let high = component as f64;
-    let low = (component - high as i128) as f64;
-    (high, low)
+#[inline(always)]
+fn exact_double(value: i128) -> (f64, f64) {
+    if let Ok(narrow) = i64::try_from(value)
+        && narrow.unsigned_abs() < 1 << 53
+    {
+        return (narrow as f64, 0.0);
+    }
+    let high = value as f64;
+    (high, (value - high as i128) as f64)
 }
 
-/// The values of the quantities, at one end of four entries.
-type Values = [Doubles; QUANTITIES.len()];
+/// Values of a quantity in their units: whole numbers in two parts, and bits of the lanes where they may be wrong.
+#[derive(Clone, Copy)]
+struct Rounded {
+    whole: Lanes,
+    more: Lanes,
+    unsure: u8,
+}
+
+type Ends = [[Rounded; QUANTITIES.len()]; 2];
 
 twice! {
     /// The values of four entries at their tails and at their heads, as if all were to the left of lines that begin there.
-    values, values_wide, values_body, (entries: &[&Entry; LANES], points: &[Point]) -> [Values; 2]
+    values, values_wide, values_body, (entries: &[&Entry; LANES], points: &[Point], tables: &Tables) -> Ends
+}
+
+/// Loads double-doubles lane by lane.
+macro_rules! load {
+    ($entries:ident, |$entry:ident| $value:expr) => {{
+        let mut high = [0.0; LANES];
+        let mut low = [0.0; LANES];
+        for (lane, $entry) in $entries.iter().enumerate() {
+            (high[lane], low[lane]) = $value;
+        }
+        Doubles {
+            high: V::of(&high),
+            low: V::of(&low),
+        }
+    }};
 }
 
 #[inline(always)]
-fn values_body(entries: &[&Entry; LANES], points: &[Point]) -> [Values; 2] {
-    let vector = |of: &dyn Fn(&Entry, usize) -> (f64, f64)| {
-        [0, 1, 2].map(|axis: usize| {
-            let [a, b, c, d] = entries.map(|entry| of(entry, axis));
-            Doubles {
-                high: [a.0, b.0, c.0, d.0],
-                low: [a.1, b.1, c.1, d.1],
-            }
-        })
-    };
-    let n = vector(&|entry, axis| (entry.normal[axis], 0.0));
-    let t = vector(&|entry, axis| double_of_direction(entry.direction[axis]));
+fn values_body<V: Vector>(entries: &[&Entry; LANES], points: &[Point], tables: &Tables) -> Ends {
+    let n = [
+        load!(entries, |entry| (entry.normal[0], 0.0)),
+        load!(entries, |entry| (entry.normal[1], 0.0)),
+        load!(entries, |entry| (entry.normal[2], 0.0)),
+    ];
+    let t = [
+        load!(entries, |entry| entry.way[0]),
+        load!(entries, |entry| entry.way[1]),
+        load!(entries, |entry| entry.way[2]),
+    ];
     // P.n = -d, whatever P.
-    let [pn, ..] = vector(&|entry, _| double_of_direction(-entry.plane.offset()));
+    let pn = load!(entries, |entry| exact_double(-entry.plane.offset()));
     let m = cross(&n, &t);
-    let one = Doubles::one();
+    let one = Doubles::<V>::one();
     let per_tt = one.over(dot(&t, &t));
     let per_t = per_tt.root();
     let per_nn = one.over(dot(&n, &n));
-    let per_n = per_nn.root();
-    let for_area = per_tt.times(per_n);
+    let for_area = per_tt.times(per_nn.root());
     let height = pn.times(per_nn);
     let for_volume = per_tt.times(height);
-    let foot = n.map(|component| component.times(height));
-    [0, 1].map(|end: u32| {
-        let p = vector(&|entry, axis| {
-            let point = &points[(entry.tail + end) as usize];
-            (point.high[axis], point.low[axis])
-        });
+    let foot = [n[0].times(height), n[1].times(height), n[2].times(height)];
+    let none = Rounded {
+        whole: [0.0; LANES],
+        more: [0.0; LANES],
+        unsure: 0,
+    };
+    let mut ends = [[none; QUANTITIES.len()]; 2];
+    for (end, rounded) in (0_u32..).zip(ends.iter_mut()) {
+        let at = |entry: &Entry| &points[(entry.tail + end) as usize];
+        let p = [
+            load!(entries, |entry| (at(entry).high[0], at(entry).low[0])),
+            load!(entries, |entry| (at(entry).high[1], at(entry).low[1])),
+            load!(entries, |entry| (at(entry).high[2], at(entry).low[2])),
+        ];
         let (pt, pm) = (dot(&p, &t), dot(&p, &m));
         let both = pt.times(pm);
         let volume = both.times(for_volume);
         let along = pt.times(per_tt);
-        let on_line = [0, 1, 2].map(|axis: usize| p[axis].minus(along.times(t[axis])));
-        let sum = [0, 1, 2].map(|axis: usize| foot[axis].plus(on_line[axis]).plus(p[axis]));
-        let first = |axis: usize| volume.times(sum[axis]);
-        let second = |i: usize, j: usize| {
-            let products = foot[i].times(foot[j]);
-            let products = products.plus(on_line[i].times(on_line[j]));
-            let products = products.plus(p[i].times(p[j]));
-            volume.times(products.plus(sum[i].times(sum[j])))
-        };
-        [
-            pt.times(per_t),
-            both.times(for_area),
-            volume,
-            first(0),
-            first(1),
-            first(2),
-            second(0, 0),
-            second(1, 1),
-            second(2, 2),
-            second(0, 1),
-            second(1, 2),
-            second(2, 0),
-        ]
-    })
+        let (mut line, mut sum) = (p, p);
+        for axis in 0..3 {
+            line[axis] = p[axis].minus(along.times(t[axis]));
+            sum[axis] = foot[axis].plus(line[axis]).plus(p[axis]);
+        }
+        let mut values = [volume; QUANTITIES.len()];
+        values[0] = pt.times(per_t);
+        values[1] = both.times(for_area);
+        for axis in 0..3 {
+            values[3 + axis] = volume.times(sum[axis]);
+        }
+        for (index, (i, j)) in [(0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0)]
+            .into_iter()
+            .enumerate()
+        {
+            let products = foot[i].times(foot[j]).plus(line[i].times(line[j]));
+            let products = products.plus(p[i].times(p[j])).plus(sum[i].times(sum[j]));
+            values[6 + index] = volume.times(products);
+        }
+        let mut classes = [0; LANES];
+        for (lane, entry) in entries.iter().enumerate() {
+            classes[lane] = usize::from(at(entry).class);
+        }
+        for (index, value) in values.into_iter().enumerate() {
+            let (mut scale_high, mut scale_low) = ([0.0; LANES], [0.0; LANES]);
+            let mut distance = [0.0; LANES];
+            for lane in 0..LANES {
+                (scale_high[lane], scale_low[lane]) = tables.scales[classes[lane]][index];
+                distance[lane] = tables.distances[classes[lane]][index];
+            }
+            let Doubles { high, low } = value.times(Doubles {
+                high: V::of(&scale_high),
+                low: V::of(&scale_low),
+            });
+            let whole = high.nearest();
+            // Exact where `high` has a fraction, and `low` alone where it has none.
+            let rest = high.minus(whole).plus(low);
+            let more = rest.nearest();
+            let sure = V::of(&distance).greater(rest.minus(more).size());
+            rounded[index] = Rounded {
+                whole: whole.lanes(),
+                more: more.lanes(),
+                unsure: !sure,
+            };
+        }
+    }
+    ends
 }

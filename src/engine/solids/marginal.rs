@@ -16,8 +16,8 @@ use smallvec::SmallVec;
 
 use crate::geometry::convex::Plane;
 
-use super::certify::Value;
-use super::clip::{Arithmetic, Line, Vertex, side};
+use super::certify::{Room, Value};
+use super::clip::{Arithmetic, Line, Vertex, exact_side, side};
 use super::exact::cross_wide;
 use super::lanes::{Rooms, separates};
 use super::ledger::Ledger;
@@ -40,11 +40,11 @@ pub(super) struct Kernel {
 }
 
 /// What a piece adds.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[derive(Clone, Copy, Debug)]
 pub(super) struct Marginal {
     pub(super) measures: Measures,
-    /// Whether the union is another one with the piece than without it.
-    pub(super) is_change: bool,
+    /// A box around where the union is another one with the piece than without it; none when it is not.
+    pub(super) change: Option<Room>,
 }
 
 /// A live facet of a neighbour that may meet the new piece.
@@ -89,10 +89,10 @@ impl Kernel {
         };
         search.edges();
         search.crossings();
-        let is_change = !self.ledger.is_empty();
+        let change = self.ledger.room();
         Marginal {
             measures: self.ledger.settle(),
-            is_change,
+            change,
         }
     }
 }
@@ -244,14 +244,15 @@ impl<'a> Search<'a, '_> {
 
     /// Whether a piece lies in one closed half-space of a plane.
     fn is_on_one_side(&self, face: &'a Face, piece: &'a Piece) -> bool {
+        let arithmetic = self.candidates.arithmetic;
         let (mut above, mut below) = (false, false);
-        for vertex in 0..piece.corners.len() {
-            let vertex = u16::try_from(vertex).expect("a solid has fewer than 2^16 vertices");
-            match side(self.candidates.arithmetic, face, &Vertex::of(piece, vertex)).0 {
-                1 => above = true,
-                -1 => below = true,
-                _ => {}
-            }
+        for (vertex, corner) in (0..).zip(&piece.corners) {
+            let sign = match face.rough.side(&corner.near) {
+                Some(sign) if arithmetic == Arithmetic::Filtered => sign,
+                _ => exact_side(face, &Vertex::of(piece, vertex)),
+            };
+            above |= sign > 0;
+            below |= sign < 0;
             if above && below {
                 return false;
             }

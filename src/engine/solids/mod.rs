@@ -16,7 +16,7 @@
 //! history, the processor or the number of threads; with all bodies deleted everything is 0. Proof: `ledger.rs` (telescoping of rounded
 //! flags), `certify.rs` (the filter), `double.rs` (arithmetic). Tests named after it: `tests/solids.rs`.
 //!
-//! Floats certify signs and roundings, in rooms of their own: `certify`, `lanes`, `double`, `ledger`. The feature `paranoid` compares
+//! Floats certify signs and roundings, in rooms of their own: `certify`, `vector`, `lanes`, `double`, `ledger`. The feature `paranoid` compares
 //! everything that they certify with exact integers. [`Engine::exact`] computes without them.
 //!
 //! # Source
@@ -45,6 +45,7 @@ mod piece;
 mod recount;
 mod sector;
 mod slots;
+mod vector;
 mod witnesses;
 
 use std::collections::BTreeMap;
@@ -58,6 +59,7 @@ use crate::geometry::{Bounds, CubeId};
 use super::Cursor;
 use bins::Bins;
 pub use body::{Body, InvalidBody, PARTS_MAX, Shape, SolidId};
+use certify::Room;
 use clip::Arithmetic;
 use features::Features;
 pub use judge::{Judged, Op, Rejected};
@@ -384,7 +386,7 @@ impl Engine {
             self.testify(own, &mut features, other);
         }
         let marginal = self.marginal(own, &features, &neighbours);
-        if !marginal.is_change {
+        if marginal.change.is_none() {
             let alone = neighbours
                 .iter()
                 .find(|other| other.piece.holds(&piece, self.arithmetic));
@@ -434,7 +436,7 @@ impl Engine {
         let own = Placed { piece, slot };
         let marginal = self.marginal(own, &features, &neighbours);
         self.measures.retract(&marginal.measures);
-        self.expose(slot, &bounds);
+        self.expose(slot, &bounds, marginal.change);
     }
 
     /// Finds other witnesses for what a part stood witness for, of one of its neighbours.
@@ -475,17 +477,25 @@ impl Engine {
         *self.slots.features_mut(of.slot) = features;
     }
 
-    /// Makes exposed those covered parts that an exposed one, which is gone, covered, and nothing else does.
-    fn expose(&mut self, gone: u32, bounds: &Bounds) {
-        let mut bare = Vec::new();
+    /// Makes exposed those covered parts that an exposed one, which is gone, helped to cover: where the union is another one without it.
+    fn expose(&mut self, gone: u32, bounds: &Bounds, change: Option<Room>) {
+        let (mut bare, mut unheld) = (Vec::new(), Vec::new());
         let slots = &self.slots;
-        self.covered.visit(bounds, |slot, bounds| {
-            let is_held =
-                matches!(slots.state(slot), State::Covered(Some(holder)) if *holder != gone);
-            if !is_held {
-                bare.push((slot, *bounds));
+        self.covered.visit(bounds, |slot, other| {
+            let holder = match slots.state(slot) {
+                State::Covered(holder) => *holder,
+                State::Exposed(_) => unreachable!("it is in the bins of the covered ones"),
+            };
+            let is_held = holder.is_some_and(|holder| holder != gone);
+            if !is_held && change.is_some_and(|change| change.meets(&Room::of(other))) {
+                bare.push((slot, *other));
+            } else if holder == Some(gone) {
+                unheld.push(slot);
             }
         });
+        for slot in unheld {
+            self.slots.set_state(slot, State::Covered(None));
+        }
         bare.sort_unstable_by_key(|(slot, _)| *slot);
         for (slot, bounds) in bare {
             assert!(

@@ -202,13 +202,14 @@ impl Piece {
 
     /// Whether another piece lies in this closed one.
     pub(super) fn holds(&self, other: &Self, arithmetic: Arithmetic) -> bool {
-        (0..other.corners.len()).all(|vertex| {
-            let vertex = u16::try_from(vertex).expect("a solid has fewer than 2^16 vertices");
-            let vertex = Vertex::of(other, vertex);
-            self.faces
-                .iter()
-                .all(|face| side(arithmetic, face, &vertex).0 <= 0)
-        })
+        self.room.holds(&other.room)
+            && (0..other.corners.len()).all(|vertex| {
+                let vertex = u16::try_from(vertex).expect("a solid has fewer than 2^16 vertices");
+                let vertex = Vertex::of(other, vertex);
+                self.faces
+                    .iter()
+                    .all(|face| side(arithmetic, face, &vertex).0 <= 0)
+            })
     }
 
     /// Bytes that it takes.

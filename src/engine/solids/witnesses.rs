@@ -49,6 +49,7 @@ impl Witnesses {
             other,
             vertices: std::mem::take(&mut self.vertices),
             near: std::mem::take(&mut self.near),
+            first: 0,
         };
         court.vertices.clear();
         court
@@ -81,6 +82,8 @@ struct Court<'a> {
     other: Placed<'a>,
     vertices: Vec<u8>,
     near: Vec<u16>,
+    /// The block of planes that separated last.
+    first: usize,
 }
 
 impl Court<'_> {
@@ -112,6 +115,9 @@ impl Court<'_> {
 
     fn find(&mut self, vertex: u16) -> bool {
         let vertex = Vertex::of(self.own.piece, vertex);
+        if self.other.piece.room.excludes(&vertex.near) {
+            return false;
+        }
         self.list_near([&vertex, &vertex]) && {
             let near = std::mem::take(&mut self.near);
             let other = self.other.piece;
@@ -127,13 +133,14 @@ impl Court<'_> {
     fn list_near(&mut self, points: [&Vertex; 2]) -> bool {
         let other = self.other.piece;
         if self.arithmetic == Arithmetic::Filtered {
-            let verdict = separate(
-                &other.blocks,
-                points.map(|point| &point.near),
-                0,
-                &mut self.near,
-            );
-            return verdict == Verdict::Undecided;
+            let points = points.map(|point| &point.near);
+            return match separate(&other.blocks, points, self.first, &mut self.near) {
+                Verdict::Undecided => true,
+                Verdict::Apart(block) => {
+                    self.first = block;
+                    false
+                }
+            };
         }
         self.near.clear();
         let facets = u16::try_from(other.faces.len()).expect("fewer than 2^16 facets");
