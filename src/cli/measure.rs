@@ -6,7 +6,7 @@ use std::process::ExitCode;
 
 use clap::ValueEnum;
 
-use super::{Outcome, input, progress, report};
+use super::{Outcome, input, progress, report, solids};
 use union3d::engine::{Engine, Op, Rejected};
 use union3d::geometry::{CUBES_MAX, CubeId, InvalidCube, Place};
 use union3d::wire::convert::{self, Anchor, Settings, SettingsDocument};
@@ -23,34 +23,52 @@ const DETECTION_BYTES: usize = 8_192;
 /// Longest line of text.
 const LINE_BYTES_MAX: u64 = 65_536;
 
-/// Measure the union of the cubes in a file, without a server
+/// Measure the union of the cubes or solids in files, without a server
 #[derive(Debug, clap::Args)]
 #[command(
-    long_about = "Measures the union of the cubes in a file, exactly, without a server.
+    long_about = "Measures the union of the cubes in a file, or of the solids in several, without a server.
 
-The file is one of:
+A file of cubes is one of:
   .csv     x,y,z or id,x,y,z in user units, a line each; the first line may name the columns
   .ndjson  {\"id\":1,\"at\":[0,0,2.5]} a line each, or the lines of a scene's listing and of a stream of changes, \
 {\"insert\":{\"id\":1,\"at\":[0,0,2.5]}} and {\"delete\":1}, which act in their order
   .i32     lower corners in lattice steps, as little-endian 32-bit triplets (`union3d mill --out` writes them)
 Any other name, and standard input, is told by its content. Positions are lower corners unless --anchor center; they are rounded to the \
-lattice, halves away from zero. An id may be repeated at the same place, and counts once; without ids every line is a cube.",
+lattice, halves away from zero. An id may be repeated at the same place, and counts once; without ids every line is a cube.
+
+A file of solids (--kind solids) is one of:
+  .stl     the closed surface of one convex body, text or binary
+  .ndjson  shapes and solids, a JSON object a line:
+             {\"shapes\":{\"t1\":{\"flat\":{\"diameter\":6,\"length\":25}}}}         a line before the first that uses them
+             {\"id\":1,\"shape\":\"t1\",\"from\":[0,0,-2],\"to\":[40,0,-2]}         what a shape sweeps
+             {\"id\":2,\"shape\":\"t1\",\"at\":[40,0,-2]}                          a shape at one place
+             {\"id\":3,\"hull\":[[0,0,0],[1,0,0],[0,1,0],[0,0,1]]}            the convex hull of points
+             {\"insert\":{\"id\":..}}, {\"delete\":1}                            the same as changes, in their order
+           A shape is a cutter with its tip at the anchor, flat, ball (rings), bull (corner_radius, rings), vee (angle, tip), drill \
+(angle) or tapered (tip, angle), each with diameter, length, and if wanted sides (32), polygon (equal_area, inscribed or circumscribed) and \
+at; or {\"box\":[x,y,z]}, {\"box\":{\"min\":..,\"max\":..}}, {\"hull\":[..]}, or {\"parts\":[shapes]} that move together.",
     after_long_help = "Examples:
   union3d measure cubes.csv --edge 0.01
   printf '0,0,0\\n1,0,0\\n' | union3d measure - --edge 1
   curl -H 'accept: application/x-ndjson' http://127.0.0.1:7373/v1/scenes/pocket/cubes |
-    union3d measure - --edge 3.175 --json"
+    union3d measure - --edge 3.175 --json
+  union3d measure left.stl right.stl
+  union3d measure sweeps.ndjson --kind solids --steps-per-unit 10000"
 )]
 pub(crate) struct Args {
-    /// The cubes; - is standard input.
-    file: PathBuf,
-    /// Edge of every cube, in user units: a whole number of lattice steps.
+    /// The cubes, in one file, or the solids; - is standard input.
+    #[arg(required = true, value_name = "FILE")]
+    files: Vec<PathBuf>,
+    /// What the files hold; solids unless said when all are STL files, else cubes.
+    #[arg(long, value_enum)]
+    kind: Option<Kind>,
+    /// Edge of every cube, in user units: a whole number of lattice steps. Cubes need it.
     #[arg(long, value_name = "LENGTH")]
-    edge: f64,
+    edge: Option<f64>,
     /// Lattice steps in a user unit: positions are rounded to them.
     #[arg(long, value_name = "STEPS", default_value_t = 1000)]
     steps_per_unit: u32,
-    /// What the positions of CSV and NDJSON are.
+    /// What the positions of cubes in CSV and NDJSON are.
     #[arg(long, value_enum, default_value_t = At::Corner)]
     anchor: At,
     /// What the file is, whatever its name and content.
@@ -59,6 +77,15 @@ pub(crate) struct Args {
     /// Print the API's `mass_properties` object alone.
     #[arg(long)]
     json: bool,
+}
+
+/// What is measured.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, ValueEnum)]
+enum Kind {
+    /// Identical cubes
+    Cubes,
+    /// Convex polyhedra: swept cutters, boxes, hulls
+    Solids,
 }
 
 /// What a position is.
@@ -70,7 +97,7 @@ enum At {
     Center,
 }
 
-/// What a file of cubes is.
+/// What a file is.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, ValueEnum)]
 enum Format {
     /// x,y,z or id,x,y,z
@@ -79,20 +106,60 @@ enum Format {
     Ndjson,
     /// Little-endian 32-bit triplets
     I32,
+    /// The surface of one convex body
+    Stl,
 }
 
 type Failure = Box<dyn std::error::Error>;
 
 /// Runs `measure`.
 pub(crate) fn run(args: Args) -> Outcome {
+    let format_of = |file: &Path| args.format.or_else(|| named(file));
+    let is_stl = |file: &PathBuf| format_of(file) == Some(Format::Stl);
+    let all_stl = args.files.iter().all(is_stl);
+    match args.kind {
+        Some(Kind::Solids) => measure_solids(&args),
+        None if all_stl => measure_solids(&args),
+        Some(Kind::Cubes) | None => measure_cubes(args),
+    }
+}
+
+fn measure_solids(args: &Args) -> Outcome {
+    if args.edge.is_some() || args.anchor != At::Corner {
+        return Err("--edge and --anchor are for cubes; solids have their own sizes".into());
+    }
+    let format = |file: &PathBuf| match args.format.or_else(|| named(file)) {
+        Some(Format::Stl) => Ok(solids::Format::Stl),
+        Some(Format::Ndjson) | None => Ok(solids::Format::Ndjson),
+        Some(Format::Csv | Format::I32) => Err(format!(
+            "{}: solids are in STL or NDJSON files, or say --kind cubes",
+            file.display()
+        )),
+    };
+    let files = args.files.iter();
+    let files: Result<_, String> = files
+        .map(|file| Ok((file.clone(), format(file)?)))
+        .collect();
+    solids::measure(&solids::Request {
+        files: files?,
+        steps_per_unit: args.steps_per_unit,
+        json: args.json,
+    })
+}
+
+fn measure_cubes(args: Args) -> Outcome {
     let Args {
-        file,
+        files,
         edge,
         steps_per_unit,
         anchor,
         format,
         json,
+        kind: _,
     } = args;
+    let [file] = <[PathBuf; 1]>::try_from(files)
+        .map_err(|_| "cubes are measured one file at a time; --kind solids takes several")?;
+    let edge = edge.ok_or("--edge is missing: cubes have one; --kind solids measures solids")?;
     let wanted = SettingsDocument {
         steps_per_unit: steps_per_unit.into(),
         anchor: match anchor {
@@ -114,6 +181,7 @@ pub(crate) fn run(args: Args) -> Outcome {
         Format::Csv => read_csv(source, &mut scene),
         Format::Ndjson => read_ndjson(source, &mut scene),
         Format::I32 => read_i32(source, &mut scene),
+        Format::Stl => Err("an STL file is a solid; say --kind solids".into()),
     };
     let read = read.and_then(|()| scene.apply());
     bar.finish_and_clear();
@@ -134,6 +202,7 @@ fn named(path: &Path) -> Option<Format> {
         "csv" => Some(Format::Csv),
         "ndjson" | "jsonl" => Some(Format::Ndjson),
         "i32" => Some(Format::I32),
+        "stl" => Some(Format::Stl),
         _ => None,
     }
 }

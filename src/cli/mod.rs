@@ -10,6 +10,7 @@ mod mill;
 mod progress;
 mod report;
 mod serve;
+mod solids;
 
 use std::process::ExitCode;
 

@@ -4,16 +4,21 @@ use std::fmt::Write;
 
 use serde_json::Value;
 
-/// The API's `mass_properties` object as a table. `unit` is the label of the user unit.
+/// The API's `mass_properties` object as a table, of cubes or of solids. `unit` is the label of the user unit.
 pub(crate) fn table(properties: &Value, unit: &str) -> String {
     let number = |path: &str| figure(&properties[path]);
     let edges = &properties["edge_length"];
     let vertices = &properties["vertices"];
+    let error = &properties["error_max"];
     let mut text = String::new();
     let mut row = |name: &str, value: String| {
         writeln!(text, "{name:<22}{value}").expect("a string takes everything");
     };
-    row("cubes", number("cubes"));
+    for count in ["cubes", "solids"] {
+        if !properties[count].is_null() {
+            row(count, number(count));
+        }
+    }
     row("volume", format!("{} {unit}^3", number("volume")));
     row("area", format!("{} {unit}^2", number("area")));
     row(
@@ -27,10 +32,12 @@ pub(crate) fn table(properties: &Value, unit: &str) -> String {
         ),
     );
     row("mass", number("mass"));
-    row(
-        "mean curvature",
-        format!("{} {unit}", number("mean_curvature")),
-    );
+    if !properties["mean_curvature"].is_null() {
+        row(
+            "mean curvature",
+            format!("{} {unit}", number("mean_curvature")),
+        );
+    }
     row(
         "centroid",
         format!("{} {unit}", triple(&properties["centroid"])),
@@ -50,18 +57,33 @@ pub(crate) fn table(properties: &Value, unit: &str) -> String {
             triple(&bounds["max"])
         ),
     );
-    row("Euler characteristic", number("euler_characteristic"));
-    row(
-        "vertices",
-        format!(
-            "{} (corner {}, edge-face {}, three-face {}, degenerate {})",
-            figure(&vertices["total"]),
-            figure(&vertices["corner"]),
-            figure(&vertices["edge_face"]),
-            figure(&vertices["three_face"]),
-            figure(&vertices["degenerate"]),
-        ),
-    );
+    if !vertices.is_null() {
+        row("Euler characteristic", number("euler_characteristic"));
+        row(
+            "vertices",
+            format!(
+                "{} (corner {}, edge-face {}, three-face {}, degenerate {})",
+                figure(&vertices["total"]),
+                figure(&vertices["corner"]),
+                figure(&vertices["edge_face"]),
+                figure(&vertices["three_face"]),
+                figure(&vertices["degenerate"]),
+            ),
+        );
+    }
+    if !error.is_null() {
+        row(
+            "rounded by at most",
+            format!(
+                "volume {} {unit}^3, area {} {unit}^2, edge length {} {unit}, centroid {} {unit}, inertia {}",
+                figure(&error["volume"]),
+                figure(&error["area"]),
+                figure(&error["edge_length"]),
+                figure(&error["centroid"]),
+                figure(&error["inertia"]),
+            ),
+        );
+    }
     text
 }
 

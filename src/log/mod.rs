@@ -24,8 +24,6 @@ mod codec;
 mod database;
 mod disk;
 mod files;
-#[doc(hidden)]
-pub mod fuzzing;
 mod history;
 mod replay;
 mod revert;

@@ -17,6 +17,7 @@ pub mod grpc;
 pub mod http;
 mod openapi;
 pub mod problem;
+pub mod solids;
 
 /// Messages, server and client generated from `proto/union3d/v1/*.proto`.
 #[expect(

@@ -22,36 +22,14 @@ use super::disk::{Event, Node};
 const SECTOR_BYTES: usize = 512;
 
 /// What of the changes that were not synced has reached the disk.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(crate) enum Reached {
     /// All: the process died, not the machine.
     All,
     /// None.
     None,
-    /// Some, by chance.
-    Some(Random),
-}
-
-impl Reached {
-    /// Some of them, in a way that `random` picks.
-    pub(crate) fn some(random: &mut Random) -> Self {
-        random.next();
-        Self::Some(random.clone())
-    }
-
-    /// The same for one file or directory of a disk: each is hit in its own way.
-    fn of(&self, node: Node) -> Self {
-        match self {
-            Self::Some(random) => {
-                let mut random = random.clone();
-                for _ in 0..node {
-                    random.next();
-                }
-                Self::some(&mut random)
-            }
-            other => other.clone(),
-        }
-    }
+    /// Some, as a seed says.
+    Some(u64),
 }
 
 /// A disk at one moment: what is durable, and what is on its way.
@@ -138,10 +116,10 @@ impl Image {
                 .file(*node)
                 .pending
                 .push(Change::Truncate { size: *size }),
-            Event::Sync(node) => self.settle(*node, &Reached::All),
+            Event::Sync(node) => self.settle(*node, Reached::All),
             // The kernel has given up on the bytes; names it still knows to be unwritten.
             Event::SyncFailed(node) if matches!(self.nodes[node], Content::File(_)) => {
-                self.settle(*node, &Reached::some(random));
+                self.settle(*node, Reached::Some(random.next()));
             }
             Event::SyncFailed(_) => {}
             Event::Mark(_) => {}
@@ -149,7 +127,7 @@ impl Image {
     }
 
     /// Nothing of this file or directory is pending any more.
-    fn settle(&mut self, node: Node, reached: &Reached) {
+    fn settle(&mut self, node: Node, reached: Reached) {
         match self.nodes.get_mut(&node).expect("it was made") {
             Content::File(file) => {
                 file.durable = file.after(reached);
@@ -177,19 +155,23 @@ impl Image {
     }
 
     /// Writes what is left into an empty directory.
-    pub(crate) fn write_to(&self, path: &Path, reached: &Reached) {
+    pub(crate) fn write_to(&self, path: &Path, reached: Reached) {
         self.write_node(0, path, reached);
     }
 
-    fn write_node(&self, node: Node, path: &Path, reached: &Reached) {
-        let here = reached.of(node);
+    fn write_node(&self, node: Node, path: &Path, reached: Reached) {
+        // Every file is hit in its own way.
+        let reached = match reached {
+            Reached::Some(seed) => Reached::Some(seed ^ (node as u64) << 32),
+            other => other,
+        };
         match &self.nodes[&node] {
-            Content::File(file) => fs::write(path, file.after(&here)).unwrap(),
+            Content::File(file) => fs::write(path, file.after(reached)).unwrap(),
             Content::Directory(directory) => {
                 if node != 0 {
                     fs::create_dir(path).unwrap();
                 }
-                for (name, node) in directory.after(&here) {
+                for (name, node) in directory.after(reached) {
                     self.write_node(node, &path.join(name), reached);
                 }
             }
@@ -198,7 +180,7 @@ impl Image {
 }
 
 impl File {
-    fn after(&self, reached: &Reached) -> Vec<u8> {
+    fn after(&self, reached: Reached) -> Vec<u8> {
         let mut bytes = self.durable.clone();
         match reached {
             Reached::None => {}
@@ -207,8 +189,8 @@ impl File {
                     change.apply(&mut bytes);
                 }
             }
-            Reached::Some(random) => {
-                let mut random = random.clone();
+            Reached::Some(seed) => {
+                let mut random = Random::new(seed);
                 // From hardly anything to nearly all.
                 let part = random.below(9);
                 let mut reaches = || random.below(8) < part;
@@ -270,13 +252,13 @@ fn sectors(mut at: usize, mut bytes: &[u8]) -> impl Iterator<Item = (usize, &[u8
 }
 
 impl Directory {
-    fn after(&self, reached: &Reached) -> BTreeMap<OsString, Node> {
+    fn after(&self, reached: Reached) -> BTreeMap<OsString, Node> {
         let count = match reached {
             Reached::None => 0,
             Reached::All => self.pending.len(),
-            Reached::Some(random) => {
+            Reached::Some(seed) => {
                 let end = self.pending.len() as u64 + 1;
-                usize::try_from(random.clone().below(end)).unwrap()
+                usize::try_from(Random::new(seed).below(end)).unwrap()
             }
         };
         let mut names = self.durable.clone();

@@ -29,7 +29,8 @@ impl Deviation {
     pub const STEP: u64 = 1 << LENGTH_BITS;
 
     /// The greater of each.
-    pub(super) fn max(self, other: Self) -> Self {
+    #[must_use]
+    pub fn max(self, other: Self) -> Self {
         Self {
             outside: self.outside.max(other.outside),
             inside: self.inside.max(other.inside),

@@ -48,7 +48,7 @@ pub(super) fn inertia(measures: &Measures, settings: &Settings) -> [[f64; 3]; 3]
 }
 
 /// The float nearest to an integer of 256 bits.
-pub(super) fn float256(integer: I256) -> f64 {
+pub(in crate::wire) fn float256(integer: I256) -> f64 {
     const KEPT_BITS: u32 = 100;
     if let Ok(narrow) = i128::try_from(integer) {
         return float(narrow);

@@ -8,6 +8,7 @@ mod settings;
 mod tests;
 mod units;
 
+pub(in crate::wire) use self::derived::float256;
 pub use self::mass_properties::{
     EdgeLength, Exact, ExactEdgeLength, IntegerMeasures, MassProperties, PartProperties,
     UserBounds, UserMeasures, Vertices, mass_properties,
@@ -20,3 +21,4 @@ pub use self::settings::{
     StockDocument, UNIT_BYTES_MAX,
 };
 pub use self::units::InvalidCoordinate;
+pub(in crate::wire) use self::units::{OFF_LATTICE_MAX, float, nearest, whole};

@@ -8,7 +8,7 @@ use super::settings::{Anchor, Rounding, Settings};
 use crate::geometry::{COORDINATE_MAX, InvalidCube, Place};
 
 /// How far from a whole number of steps an edge, or under [`Rounding::Reject`] a coordinate, may be. Units: steps.
-pub(super) const OFF_LATTICE_MAX: f64 = 1e-6;
+pub(in crate::wire) const OFF_LATTICE_MAX: f64 = 1e-6;
 
 /// Why a coordinate of `at` is refused.
 #[derive(Clone, Copy, PartialEq, Debug, thiserror::Error)]
@@ -101,10 +101,7 @@ impl Settings {
 
     /// The whole number of steps for `steps`, which was computed from `product`.
     pub(super) fn round(&self, steps: f64, product: f64) -> Result<i64, InvalidCoordinate> {
-        // The decimal 0.0145 times 1000 is a half in the client's eyes, though not in floats: what reading and multiplying can have
-        // lost is given back, so that halves go away from zero as promised. At 2^30 steps that is below a millionth of a step.
-        let lost = product.abs() * 4.0 * f64::EPSILON;
-        let rounded = (steps.abs() + lost).round().copysign(steps);
+        let rounded = nearest(steps, product);
         match self.rounding {
             Rounding::Reject if (steps - rounded).abs() > OFF_LATTICE_MAX => {
                 Err(InvalidCoordinate::OffLattice { steps })
@@ -140,8 +137,17 @@ impl Settings {
     }
 }
 
+/// The whole number nearest to `steps`, which was computed from `product`; halves away from zero.
+///
+/// The decimal 0.0145 times 1000 is a half in the client's eyes, though not in floats: what reading and multiplying can have lost is given
+/// back. At 2^30 steps that is below a millionth of a step.
+pub(in crate::wire) fn nearest(steps: f64, product: f64) -> f64 {
+    let lost = product.abs() * 4.0 * f64::EPSILON;
+    (steps.abs() + lost).round().copysign(steps)
+}
+
 /// The whole number that a float is; none for fractions, NaN, and beyond 2^53.
-pub(super) fn whole(number: f64) -> Option<i64> {
+pub(in crate::wire) fn whole(number: f64) -> Option<i64> {
     const EXACT_MAX: f64 = 9_007_199_254_740_992.0;
     if !(number.abs() <= EXACT_MAX && number.fract() == 0.0) {
         return None;
@@ -159,6 +165,6 @@ pub(super) fn whole(number: f64) -> Option<i64> {
     clippy::cast_precision_loss,
     reason = "floats are for people; `exact` has the integers"
 )]
-pub(super) fn float(integer: i128) -> f64 {
+pub(in crate::wire) fn float(integer: i128) -> f64 {
     integer as f64
 }

@@ -1,0 +1,53 @@
+//! Scenes of solids in user units: shapes, solids and STL files in, mass properties out.
+//!
+//! ```text
+//!   shapes ── cutters, boxes, hulls ──> Shape ─┐
+//!   solids ── shape, from, to | at ────────────┴─> Body ──> engine ──> Totals ──> SolidProperties
+//!          └─ hull | STL file ──────────────────────^
+//! ```
+//! Every fault has a place (a JSON pointer into what was read) and says what is wrong there. Floats end here: what goes on is on the
+//! lattice, and a cutter's vertices are computed in integers.
+
+mod body;
+mod documents;
+mod properties;
+mod scale;
+mod shape;
+mod stl;
+
+pub use self::body::{Shapes, body};
+pub use self::documents::{BoxDocument, CutterDocument, FitName, ShapeDocument, SolidDocument};
+pub use self::properties::{
+    ErrorBounds, ExactSolids, FixedPoint, SolidEdgeLength, SolidProperties, solid_properties,
+};
+pub use self::scale::{InvalidScale, Scale};
+pub use self::shape::{ReadShape, shape};
+pub use self::stl::{InvalidStl, stl_body};
+
+/// What is wrong with a document, and where.
+#[derive(Clone, PartialEq, Eq, Debug, thiserror::Error)]
+#[error("{pointer} {what}")]
+pub struct SolidFault {
+    /// Where: a JSON pointer, from the document's root.
+    pub pointer: String,
+    /// What is wrong there.
+    pub what: String,
+}
+
+impl SolidFault {
+    fn new(pointer: impl Into<String>, what: impl Into<String>) -> Self {
+        Self {
+            pointer: pointer.into(),
+            what: what.into(),
+        }
+    }
+
+    /// The same fault in a document that is a part of another, at this pointer in it.
+    #[must_use]
+    pub fn within(self, pointer: &str) -> Self {
+        Self {
+            pointer: format!("{pointer}{}", self.pointer),
+            ..self
+        }
+    }
+}
