@@ -226,3 +226,22 @@ fn places() -> Result<Vec<Place>, Box<dyn std::error::Error>> {
     }
     Ok(places)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Somebody has the usual address: without an address of its own the demo takes a free one, with one it does not start.
+    #[tokio::test]
+    async fn it_takes_another_port_when_the_usual_one_is_taken() {
+        let any = SocketAddr::from(([127, 0, 0, 1], 0));
+        let taken = TcpListener::bind(any).await.unwrap();
+        let usual = taken.local_addr().unwrap();
+        let free = listen(None, usual, "--http").await.unwrap();
+        let free = free.local_addr().unwrap();
+        assert_eq!(free.ip(), usual.ip());
+        assert_ne!(free.port(), usual.port());
+        let refused = listen(Some(usual), any, "--http").await.unwrap_err();
+        assert!(refused.contains("--http"), "{refused}");
+    }
+}

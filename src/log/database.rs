@@ -120,17 +120,27 @@ impl Database {
     }
 
     /// Moves the write-ahead file into the database, once its rows are known to be right, and from now on whenever the log is closed.
-    pub(super) fn checkpoint(&mut self) {
-        // Neither is needed for what follows: a full disk must not keep a whole scene from being read.
-        drop(
+    ///
+    /// After it all that the log stands on is durable, and known to be. Before it that need not be so: a sync that failed may have left
+    /// frames in memory that can be read and are not on the disk, and no later sync of that file writes them. What is appended
+    /// behind such a hole would be lost with it.
+    pub(super) fn checkpoint(&mut self) -> Result<(), LogError> {
+        let checkpoint = || {
             self.connection
-                .set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, false),
-        );
-        drop(
+                .set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, false)?;
             self.connection
-                .pragma(None, "wal_checkpoint", "TRUNCATE", |_| Ok(())),
-        );
+                .query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |row| {
+                    row.get::<_, bool>(0)
+                })
+        };
+        let busy = checkpoint().map_err(self.site.sqlite(self.superblock.seq))?;
+        if busy {
+            return Err(self
+                .site
+                .failed("SQLite's write-ahead file is still being read"));
+        }
         self.mark();
+        Ok(())
     }
 
     /// A connection that only reads.

@@ -23,7 +23,7 @@ pub enum FileCall<'a> {
     Write(&'a Path, &'a [u8]),
     /// Syncs a file that is open.
     Sync(&'a Path),
-    /// Writes a nameless file in a directory and removes it, to see whether there is room.
+    /// Writes and syncs a nameless file in a directory and removes it, to see whether the disk takes it.
     Try(&'a Path),
     /// Creates a directory.
     CreateDirectory(&'a Path),
@@ -95,10 +95,12 @@ impl Disk {
         })
     }
 
-    /// Whether `bytes` more find room in a directory.
+    /// Whether `bytes` more can be written in a directory.
     pub(super) fn try_bytes(&self, directory: &Path, bytes: usize) -> io::Result<()> {
         self.ask(FileCall::Try(directory))?;
-        tempfile::tempfile_in(directory)?.write_all(&vec![1; bytes])
+        let mut file = tempfile::tempfile_in(directory)?;
+        file.write_all(&vec![1; bytes])?;
+        file.sync_all()
     }
 
     /// Creates a directory and those above it that are not there. Durably: also the names of those that are there already,

@@ -101,6 +101,8 @@ impl Site {
         use rusqlite::{Error, ErrorCode};
         move |error| match error.sqlite_error_code() {
             Some(ErrorCode::DiskFull) => self.full(),
+            // The file ends before what must be in it.
+            Some(ErrorCode::SystemIoFailure) if is_short_read(&error) => self.damaged(seq, &error),
             // A full disk shows in other ways too: no room for the shared index, a quota, a sync that allocates late.
             Some(ErrorCode::SystemIoFailure | ErrorCode::CannotOpen) if self.is_full() => {
                 self.full()
@@ -136,9 +138,14 @@ impl Site {
 
     /// Whether a new file finds no room: SQLite does not say what its I/O errors were.
     fn is_full(&self) -> bool {
+        let tried = self.try_to_write();
+        tried.is_err_and(|error| matches!(self.io(&error), LogError::Full { .. }))
+    }
+
+    /// Writes and syncs a nameless file beside the database.
+    pub(super) fn try_to_write(&self) -> io::Result<()> {
         const TRIAL_BYTES: usize = 1 << 16;
-        let trial = self.disk.try_bytes(&self.directory, TRIAL_BYTES);
-        trial.is_err_and(|error| matches!(self.io(&error), LogError::Full { .. }))
+        self.disk.try_bytes(&self.directory, TRIAL_BYTES)
     }
 
     /// Checks the start of the database file before SQLite sees it: SQLite would take an empty file for a new database and
@@ -317,4 +324,10 @@ pub fn remove_leftovers(disk: &Disk, data: &Path) -> io::Result<()> {
 
 fn parent(directory: &Path) -> &Path {
     or_here(directory.parent().unwrap_or(directory))
+}
+
+fn is_short_read(error: &rusqlite::Error) -> bool {
+    error
+        .sqlite_error()
+        .is_some_and(|error| error.extended_code == rusqlite::ffi::SQLITE_IOERR_SHORT_READ)
 }

@@ -24,6 +24,8 @@ mod codec;
 mod database;
 mod disk;
 mod files;
+#[doc(hidden)]
+pub mod fuzzing;
 mod history;
 mod replay;
 mod revert;

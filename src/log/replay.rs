@@ -19,7 +19,8 @@ impl SceneLog {
     /// Everything that is needed to rebuild the scene. `progress` gets a fraction in parts per thousand.
     /// `visit` answers false when the state it rebuilt differs from the totals it was shown.
     /// # Errors
-    /// [`LogError::Damaged`] names the seq at which the files are not what was written, or the state differs.
+    /// [`LogError::Damaged`] names the seq at which the files are not what was written, or the state differs. The disk's, when what
+    /// was read cannot be made durable.
     pub fn replay(
         &mut self,
         progress: &mut dyn FnMut(u32),
@@ -32,7 +33,7 @@ impl SceneLog {
             self.replay_snapshot(snapshot, &mut progress, visit)?;
         }
         self.replay_changes(&mut progress, visit)?;
-        self.database.checkpoint();
+        self.database.checkpoint()?;
         progress.finish();
         Ok(())
     }

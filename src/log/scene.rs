@@ -71,7 +71,7 @@ impl SceneLog {
             Database::create(&Site::new(disk, temporary), &meta)
         })?;
         let (mut log, _) = Self::open(disk, directory, keep)?;
-        log.database.checkpoint();
+        log.database.checkpoint()?;
         Ok(log)
     }
 
@@ -238,11 +238,13 @@ impl SceneLog {
         }
     }
 
-    /// Writes and syncs something harmless: proves that the disk takes writes again.
+    /// Writes and syncs something beside the log: shows that the disk takes writes again, before the log is read. The log itself
+    /// must not be written before a replay has made durable what it stands on.
     /// # Errors
     /// The disk's.
-    pub fn probe(&mut self) -> Result<(), LogError> {
-        self.database.transact(|_, _, _| Ok(()))
+    pub fn probe(&self) -> Result<(), LogError> {
+        let site = &self.database.site;
+        site.try_to_write().map_err(|error| site.io(&error))
     }
 
     /// Bytes on disk.

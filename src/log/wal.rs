@@ -60,7 +60,7 @@ pub(super) fn inspect(disk: &Disk, path: &Path, page_size: usize) -> io::Result<
     inspect_bytes(&mut BufReader::with_capacity(BUFFER_SIZE, file), page_size)
 }
 
-fn inspect_bytes(file: &mut impl Read, page_size: usize) -> io::Result<WriteAhead> {
+pub(super) fn inspect_bytes(file: &mut impl Read, page_size: usize) -> io::Result<WriteAhead> {
     let mut header = [0; HEADER_SIZE];
     let mut frame = vec![0; FRAME_HEADER_SIZE + page_size];
     let header_read = fill(file, &mut header)?;

@@ -3,7 +3,7 @@
 //! ```text
 //!          ┌──────────────────────── probe_interval ◄──────────────┐
 //!          ▼                                                       │
-//!   open the log ──► replay ──► serve (`writer`) ──failure──► stopped ──► refused, when the files are damaged
+//!   open the log ──► replay ──► serve (`writer`) ──failure──► stopped ──► refused, when the files are found damaged twice
 //! ```
 //! The one way in, at start and after a failure.
 
@@ -21,9 +21,11 @@ use crate::log::{Keep, LogError, SceneLog};
 
 /// Runs a scene until its end. `writer` is there when the scene was just created.
 pub(super) fn run(scene: &Scene, mut writer: Option<Writer>) {
+    // What the writer found damaged when it last stopped for that.
+    let mut damaged = None;
     loop {
         let (halt, unanswered) = match writer.take().map_or_else(|| attempt(scene), Ok) {
-            Ok(writer) => serve_until_halt(scene, writer),
+            Ok(writer) => serve_until_halt(scene, writer, &mut damaged),
             Err(halt) => (halt, Vec::new()),
         };
         let Halt::Log(error) = halt else {
@@ -42,22 +44,32 @@ pub(super) fn run(scene: &Scene, mut writer: Option<Writer>) {
     }
 }
 
-/// One try to bring the scene back.
+/// One try to bring the scene back. A read that fails is damage to SQLite, so damage is believed when a second look finds some too.
 fn attempt(scene: &Scene) -> Result<Writer, Halt> {
-    // A panic here is met again at every try (the log is the same), so the scene is refused rather than retried.
-    let writer = catch_unwind(AssertUnwindSafe(|| reopen(scene))).unwrap_or_else(|_| {
-        Err(Halt::Log(LogError::Foreign {
-            path: scene.directory.clone(),
-            detail:
-                "replay failed by a fault of this program; see its log, and try a newer version"
-                    .to_owned(),
-        }))
-    })?;
+    let reopen = || {
+        // A panic here is met again at every try (the log is the same), so the scene is refused rather than retried.
+        catch_unwind(AssertUnwindSafe(|| reopen(scene))).unwrap_or_else(|_| {
+            Err(Halt::Log(LogError::Foreign {
+                path: scene.directory.clone(),
+                detail:
+                    "replay failed by a fault of this program; see its log, and try a newer version"
+                        .to_owned(),
+            }))
+        })
+    };
+    let writer = match reopen() {
+        Err(Halt::Log(LogError::Damaged { .. })) => reopen(),
+        first => first,
+    }?;
     writer.begin(scene);
     Ok(writer)
 }
 
-fn serve_until_halt(scene: &Scene, mut writer: Writer) -> (Halt, Vec<Reply>) {
+fn serve_until_halt(
+    scene: &Scene,
+    mut writer: Writer,
+    damaged: &mut Option<(Seq, String)>,
+) -> (Halt, Vec<Reply>) {
     let halt = catch_unwind(AssertUnwindSafe(|| writer.serve(scene))).unwrap_or_else(|_| {
         // Nothing unlogged was shown, so a fault of this program is survived like one of the disk.
         Halt::Log(LogError::Failed {
@@ -65,6 +77,17 @@ fn serve_until_halt(scene: &Scene, mut writer: Writer) -> (Halt, Vec<Reply>) {
             cause: "the writer failed by a fault of this program; see its log".to_owned(),
         })
     });
+    let halt = match halt {
+        // A replay tells better, except of what it does not read: that is found here again.
+        Halt::Log(LogError::Damaged { path, seq, detail })
+            if damaged.as_ref() != Some(&(seq, detail.clone())) =>
+        {
+            let cause = format!("damaged at seq {}: {detail}", seq.0);
+            *damaged = Some((seq, detail));
+            Halt::Log(LogError::Failed { path, cause })
+        }
+        halt => halt,
+    };
     (halt, writer.unanswered)
 }
 
@@ -116,8 +139,7 @@ pub(super) fn reopen(scene: &Scene) -> Result<Writer, Halt> {
     let ended = || scene.inbox.ended().is_some();
     let _pass = scene.setup.gate.enter(ended).ok_or(Halt::Ended)?;
     failpoint::pass(scene.setup.fail_hook.as_ref(), FailPoint::Open)?;
-    let (mut log, notices) =
-        SceneLog::open(&scene.setup.config.disk, &scene.directory, keep(scene))?;
+    let (log, notices) = SceneLog::open(&scene.setup.config.disk, &scene.directory, keep(scene))?;
     for notice in &notices {
         tracing::warn!(scene = scene.name().as_str(), "{notice}");
     }

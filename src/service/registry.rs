@@ -23,7 +23,7 @@ use super::scene::{Scene, Setup, blocking};
 use super::writer::{Halt, Writer};
 use super::{Readiness, SceneName, SceneState, ServiceConfig, ServiceError, StartError};
 use crate::geometry::{Edge, Stock};
-use crate::log::{Disk, Header, SceneLog, remove_leftovers, remove_scene};
+use crate::log::{Disk, Header, LogError, SceneLog, remove_leftovers, remove_scene};
 
 /// All scenes of a data directory.
 #[derive(Clone)]
@@ -436,8 +436,16 @@ fn storage(error: &io::Error) -> ServiceError {
     }
 }
 
+/// Why a scene could not be created.
 fn refusal(halt: Halt) -> ServiceError {
     match halt {
+        // Nothing was in it yet that could be damaged: the disk has failed.
+        Halt::Log(error @ (LogError::Damaged { .. } | LogError::Foreign { .. })) => {
+            ServiceError::Storage {
+                cause: error.to_string(),
+                full: false,
+            }
+        }
         Halt::Log(error) => error.into(),
         Halt::Ended => ServiceError::ShuttingDown,
     }

@@ -363,6 +363,20 @@ mod tests {
         }
     }
 
+    /// Who is told of a new state at once finds it here too: nobody looks here between the two.
+    #[test]
+    fn a_durable_state_is_shown_while_nobody_can_look() {
+        let state = |seq| Published {
+            seq: Seq(seq),
+            at_ms: 0,
+            totals: Totals::default(),
+        };
+        let set = CubeSet::new(Engine::new(Edge::new(1).unwrap()), &state(0));
+        assert!(set.try_view().is_some());
+        set.advance(&state(1), || assert!(set.try_view().is_none()));
+        assert_eq!(set.view().unwrap().published(), state(1));
+    }
+
     /// Changes of all sizes, one or two of them on their way at a time, cubes that move and come again among them.
     #[test]
     fn readers_find_the_durable_state_after_every_step() {

@@ -176,6 +176,13 @@ impl Disk {
         self.shared.state.lock().events.push(Event::Mark(mark));
     }
 
+    /// From now on all that is there counts as durable.
+    pub(crate) fn settle(&self) {
+        let mut state = self.shared.state.lock();
+        let nodes = 0..state.nodes;
+        state.events.extend(nodes.map(Event::Sync));
+    }
+
     /// All that was recorded.
     pub(crate) fn events(&self) -> Vec<Event> {
         self.shared.state.lock().events.clone()
@@ -212,13 +219,10 @@ struct Place {
 impl At<'_> {
     /// Where that is, if it is on a disk.
     fn place(self) -> Option<Place> {
-        let path = Path::new(OsStr::from_bytes(self.1.to_bytes()));
-        if path.is_relative() {
-            let handle = OPEN.lock().get(&self.0)?.clone();
-            return Some(Place {
-                path: handle.path.join(path),
-                shared: handle.shared,
-            });
+        let mut path = PathBuf::from(OsStr::from_bytes(self.1.to_bytes()));
+        if path.is_relative() && self.0 != libc::AT_FDCWD {
+            let directory = std::fs::read_link(format!("/proc/self/fd/{}", self.0));
+            path = directory.ok()?.join(path);
         }
         let disks = DISKS.lock();
         disks.iter().find_map(|shared| {
@@ -307,8 +311,11 @@ pub(super) fn open(
         None => state.make(&path, false),
     };
     drop(state);
-    let handle = Handle { shared, node, path };
-    OPEN.lock().insert(file, handle);
+    // Directories that are opened as such are only gone through, and the C library closes them by itself.
+    if flags & libc::O_DIRECTORY == 0 || nameless {
+        let handle = Handle { shared, node, path };
+        OPEN.lock().insert(file, handle);
+    }
     Ok(result)
 }
 

@@ -4,15 +4,22 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
 
 use parking_lot::Mutex;
+use union3d::engine::{Engine, Op};
+use union3d::geometry::{CubeId, Effect, Place};
+use union3d::log::{Header, Keep, Record, Replayed, SceneLog};
+use union3d::service::{Motion, Operations, SceneName, SceneState, Seq, Service, ServiceConfig};
 
 use super::Random;
 use super::disk::{Disk, Event, Kind, Verdict};
 use super::power::{assert_none, cut_all, record};
+use super::workload::{Client, config, edge, submission};
 
-const KINDS: [Kind; 7] = [
+const KINDS: [Kind; 8] = [
     Kind::Open,
+    Kind::Read,
     Kind::Write,
     Kind::Truncate,
     Kind::Sync,
@@ -21,13 +28,24 @@ const KINDS: [Kind; 7] = [
     Kind::MakeDirectory,
 ];
 
-/// Calls one after the other that fail.
+/// After a failed sync the power may fail at any moment: so many calls later all has been written anew.
+const CALLS_WATCHED: usize = 60;
+
+/// Calls that fail.
 #[derive(Clone, Copy, Debug)]
 struct Fault {
     kind: Kind,
     first: usize,
-    count: usize,
+    /// Which of the calls from `first` on: bit by bit, the lowest is the first.
+    pattern: u8,
     errno: i32,
+}
+
+impl Fault {
+    fn fails(&self, index: usize) -> bool {
+        let bit = index.checked_sub(self.first);
+        bit.is_some_and(|bit| bit < 8 && self.pattern >> bit & 1 == 1)
+    }
 }
 
 /// How many calls of a kind the workload makes on a disk that never fails.
@@ -41,32 +59,37 @@ fn count(kind: Kind, seed: u64) -> usize {
         }
         Verdict::Pass
     });
-    record(&disk, seed, async |client| {
-        client.in_spite_of_faults().await
+    record(&disk, Client::new(&disk, seed), async |client| {
+        client.in_spite_of_faults().await;
     });
     calls.load(Ordering::Relaxed)
 }
 
-/// Lets calls fail, then cuts the power at every acknowledgement.
+/// Lets calls fail, then cuts the power: at every acknowledgement, and after any of the calls that follow a failed sync.
 fn fail(fault: Fault, seed: u64) -> Vec<String> {
     let disk = Disk::new();
     let path = Arc::new(Mutex::new(PathBuf::new()));
     let failed = path.clone();
     let mut calls = 0..;
-    let fails = fault.first..fault.first + fault.count;
     disk.set_rule(move |call| {
-        if call.kind == fault.kind && calls.next().is_some_and(|index| fails.contains(&index)) {
+        if call.kind == fault.kind && calls.next().is_some_and(|index| fault.fails(index)) {
             call.path.clone_into(&mut failed.lock());
             return Verdict::Fail(fault.errno);
         }
         Verdict::Pass
     });
     let outcome = catch_unwind(AssertUnwindSafe(|| {
-        let (events, story) = record(&disk, seed, async |client| {
+        let client = Client::new(&disk, seed);
+        let (events, story) = record(&disk, client, async |client| {
             client.in_spite_of_faults().await;
         });
+        let mut since_failed_sync = usize::MAX;
         cut_all(&events, &story, &mut Random::new(seed), 3, |event| {
-            matches!(event, Event::Mark(_))
+            since_failed_sync = match event {
+                Event::SyncFailed(_) => 0,
+                _ => since_failed_sync.saturating_add(1),
+            };
+            since_failed_sync < CALLS_WATCHED || matches!(event, Event::Mark(_))
         })
     }));
     let failures = outcome.unwrap_or_else(|panic| {
@@ -80,7 +103,6 @@ fn fail(fault: Fault, seed: u64) -> Vec<String> {
 
 /// Faults of each kind at `positions` places spread over the workload.
 fn fail_some(kinds: &[Kind], positions: usize, seed: u64) {
-    println!("seed {seed}");
     let mut random = Random::new(seed);
     let mut below = |end: usize| usize::try_from(random.below(end as u64)).unwrap();
     let mut failures = Vec::new();
@@ -91,7 +113,7 @@ fn fail_some(kinds: &[Kind], positions: usize, seed: u64) {
             let fault = Fault {
                 kind,
                 first,
-                count: 1 + below(3),
+                pattern: u8::try_from(below(256)).unwrap() | 1,
                 errno: [libc::EIO, libc::ENOSPC][below(2)],
             };
             failures.extend(fail(fault, seed));
@@ -109,4 +131,115 @@ fn nothing_acknowledged_is_lost_when_calls_fail_and_then_the_power() {
 #[ignore = "minutes: every position"]
 fn nothing_acknowledged_is_lost_whichever_calls_fail() {
     fail_some(&KINDS, usize::MAX, 2);
+}
+
+/// What a snapshot holds is read back before the changes it stands for may be dropped: a chunk that reads otherwise than it was
+/// written is not taken, and the log is as it was.
+#[test]
+fn a_snapshot_that_does_not_read_as_it_was_written_is_not_taken() {
+    let disk = Disk::new();
+    let path = disk.path().join("scene");
+    let header = Header {
+        incarnation: 1,
+        edge_steps: 3,
+        stock: None,
+        settings: String::new(),
+    };
+    let keep = Keep {
+        history_changes_max: 9,
+        idempotency_keys_max: 9,
+        revert_changes_max: 0,
+        revert_bytes_max: 0,
+        snapshot_log_bytes_min: 0,
+    };
+    let files = union3d::log::Disk::default();
+    let mut log = SceneLog::create(&files, &path, &header, keep).unwrap();
+    let mut random = Random::new(5);
+    let mut inserted = Vec::new();
+    for id in 0..3000 {
+        let corner = [0; 3].map(|_: i64| random.within(-1_000_000, 1_000_000));
+        inserted.push((CubeId(id), Place::new(corner, edge()).unwrap()));
+    }
+    let effect = Effect {
+        deleted: Vec::new(),
+        inserted: inserted.clone(),
+    };
+    let mut engine = Engine::new(edge());
+    engine.apply(&effect).unwrap();
+    let totals = engine.totals();
+    let record = Record {
+        seq: Seq(1),
+        at_ms: 1,
+        effect,
+        reverts_to: None,
+        motion: Motion::default(),
+        volume_removed: 0,
+        totals,
+    };
+    log.append(&[record], &[]).unwrap();
+    log.snapshot_begin(1, &totals, 3001).unwrap();
+    disk.set_rule(|call| match call.kind {
+        Kind::Read => Verdict::Spoil,
+        _ => Verdict::Pass,
+    });
+    let written = log
+        .snapshot_add(&inserted)
+        .and_then(|()| log.snapshot_finish());
+    assert!(written.is_err());
+    disk.heal();
+    drop(log);
+    let (mut log, _) = SceneLog::open(&files, &path, keep).unwrap();
+    let mut changes = 0;
+    log.replay(&mut |_| (), &mut |replayed| {
+        assert!(matches!(replayed, Replayed::Change(_)), "{replayed:?}");
+        changes += 1;
+        true
+    })
+    .unwrap();
+    assert_eq!(changes, 1);
+}
+
+/// Changes may still fit where a snapshot does not: the scene goes on.
+#[test]
+fn a_disk_too_full_for_a_snapshot_does_not_stop_the_scene() {
+    let disk = Disk::new();
+    let runtime = tokio::runtime::Builder::new_current_thread().build();
+    runtime.unwrap().block_on(async {
+        // A scene that is stopped would stay so.
+        let probe_interval = Duration::from_secs(3600);
+        let service = Service::start(ServiceConfig {
+            probe_interval,
+            ..config(disk.path())
+        });
+        let service = service.unwrap();
+        let name = SceneName::new("s").unwrap();
+        let (scene, _) = service.create(&name, edge(), None, "{}").await.unwrap();
+        // The change is committed with one sync of the write-ahead file; what is written after it is the snapshot.
+        let refused = Arc::new(AtomicUsize::new(0));
+        let refusals = refused.clone();
+        let mut commits = 0;
+        disk.set_rule(move |call| {
+            let is_write_ahead = call.path.extension() == Some("sqlite-wal".as_ref());
+            commits += usize::from(call.kind == Kind::Sync && is_write_ahead);
+            if call.kind == Kind::Write && commits >= 2 {
+                refusals.fetch_add(1, Ordering::Relaxed);
+                return Verdict::Fail(libc::ENOSPC);
+            }
+            Verdict::Pass
+        });
+        let place = |id: u64| Place::new([i64::try_from(id).unwrap(), 0, 0], edge()).unwrap();
+        let ops = |ids: std::ops::Range<u64>| {
+            let ops = ids.map(|id| Op::Insert(CubeId(id), place(id)));
+            submission(Operations::Named(ops.collect()))
+        };
+        scene.change(ops(0..100)).await.unwrap();
+        while refused.load(Ordering::Relaxed) == 0 {
+            std::thread::yield_now();
+        }
+        disk.heal();
+        let applied = scene.change(ops(100..101)).await.unwrap();
+        assert_eq!(applied.published.totals.cubes, 101);
+        assert_eq!(scene.state(), SceneState::Running);
+        service.shutdown().await;
+    });
 }

@@ -22,14 +22,36 @@ use super::disk::{Event, Node};
 const SECTOR_BYTES: usize = 512;
 
 /// What of the changes that were not synced has reached the disk.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+#[derive(Clone, Debug)]
 pub(crate) enum Reached {
     /// All: the process died, not the machine.
     All,
     /// None.
     None,
-    /// Some, as a seed says.
-    Some(u64),
+    /// Some, by chance.
+    Some(Random),
+}
+
+impl Reached {
+    /// Some of them, in a way that `random` picks.
+    pub(crate) fn some(random: &mut Random) -> Self {
+        random.next();
+        Self::Some(random.clone())
+    }
+
+    /// The same for one file or directory of a disk: each is hit in its own way.
+    fn of(&self, node: Node) -> Self {
+        match self {
+            Self::Some(random) => {
+                let mut random = random.clone();
+                for _ in 0..node {
+                    random.next();
+                }
+                Self::some(&mut random)
+            }
+            other => other.clone(),
+        }
+    }
 }
 
 /// A disk at one moment: what is durable, and what is on its way.
@@ -116,10 +138,10 @@ impl Image {
                 .file(*node)
                 .pending
                 .push(Change::Truncate { size: *size }),
-            Event::Sync(node) => self.settle(*node, Reached::All),
+            Event::Sync(node) => self.settle(*node, &Reached::All),
             // The kernel has given up on the bytes; names it still knows to be unwritten.
             Event::SyncFailed(node) if matches!(self.nodes[node], Content::File(_)) => {
-                self.settle(*node, Reached::Some(random.next()));
+                self.settle(*node, &Reached::some(random));
             }
             Event::SyncFailed(_) => {}
             Event::Mark(_) => {}
@@ -127,7 +149,7 @@ impl Image {
     }
 
     /// Nothing of this file or directory is pending any more.
-    fn settle(&mut self, node: Node, reached: Reached) {
+    fn settle(&mut self, node: Node, reached: &Reached) {
         match self.nodes.get_mut(&node).expect("it was made") {
             Content::File(file) => {
                 file.durable = file.after(reached);
@@ -155,23 +177,19 @@ impl Image {
     }
 
     /// Writes what is left into an empty directory.
-    pub(crate) fn write_to(&self, path: &Path, reached: Reached) {
+    pub(crate) fn write_to(&self, path: &Path, reached: &Reached) {
         self.write_node(0, path, reached);
     }
 
-    fn write_node(&self, node: Node, path: &Path, reached: Reached) {
-        // Every file is hit in its own way.
-        let reached = match reached {
-            Reached::Some(seed) => Reached::Some(seed ^ (node as u64) << 32),
-            other => other,
-        };
+    fn write_node(&self, node: Node, path: &Path, reached: &Reached) {
+        let here = reached.of(node);
         match &self.nodes[&node] {
-            Content::File(file) => fs::write(path, file.after(reached)).unwrap(),
+            Content::File(file) => fs::write(path, file.after(&here)).unwrap(),
             Content::Directory(directory) => {
                 if node != 0 {
                     fs::create_dir(path).unwrap();
                 }
-                for (name, node) in directory.after(reached) {
+                for (name, node) in directory.after(&here) {
                     self.write_node(node, &path.join(name), reached);
                 }
             }
@@ -180,7 +198,7 @@ impl Image {
 }
 
 impl File {
-    fn after(&self, reached: Reached) -> Vec<u8> {
+    fn after(&self, reached: &Reached) -> Vec<u8> {
         let mut bytes = self.durable.clone();
         match reached {
             Reached::None => {}
@@ -189,8 +207,8 @@ impl File {
                     change.apply(&mut bytes);
                 }
             }
-            Reached::Some(seed) => {
-                let mut random = Random::new(seed);
+            Reached::Some(random) => {
+                let mut random = random.clone();
                 // From hardly anything to nearly all.
                 let part = random.below(9);
                 let mut reaches = || random.below(8) < part;
@@ -252,13 +270,13 @@ fn sectors(mut at: usize, mut bytes: &[u8]) -> impl Iterator<Item = (usize, &[u8
 }
 
 impl Directory {
-    fn after(&self, reached: Reached) -> BTreeMap<OsString, Node> {
+    fn after(&self, reached: &Reached) -> BTreeMap<OsString, Node> {
         let count = match reached {
             Reached::None => 0,
             Reached::All => self.pending.len(),
-            Reached::Some(seed) => {
+            Reached::Some(random) => {
                 let end = self.pending.len() as u64 + 1;
-                usize::try_from(Random::new(seed).below(end)).unwrap()
+                usize::try_from(random.clone().below(end)).unwrap()
             }
         };
         let mut names = self.durable.clone();

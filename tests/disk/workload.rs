@@ -28,13 +28,15 @@ pub(crate) struct Acknowledged {
 /// Scenes by name.
 pub(crate) type World = BTreeMap<String, Acknowledged>;
 
+/// Exact totals by name, life and seq.
+pub(crate) type TotalsBySeq = BTreeMap<(String, u32, u64), Totals>;
+
 /// What was acknowledged, and when.
 #[derive(Default)]
 pub(crate) struct Story {
     /// By mark: what had been acknowledged when it was set. What is on its way from one to the next may be there or not.
     pub(crate) worlds: Vec<World>,
-    /// Exact totals by name, life and seq.
-    pub(crate) totals: BTreeMap<(String, u32, u64), Totals>,
+    pub(crate) totals: TotalsBySeq,
 }
 
 /// Where the data directory is on a disk: some way down, since the way is made too.
@@ -46,9 +48,11 @@ pub(crate) fn edge() -> Edge {
     Edge::new(3).unwrap()
 }
 
+/// Snapshots are written all the time.
 pub(crate) fn config(root: &Path) -> ServiceConfig {
     ServiceConfig {
         probe_interval: Duration::from_millis(1),
+        snapshot_log_bytes_min: 400,
         ..ServiceConfig::new(data(root))
     }
 }
@@ -111,6 +115,36 @@ impl<'a> Client<'a> {
             world: World::new(),
             lives: 0,
         }
+    }
+
+    /// Goes on where another client was when the power failed: on the scenes that were found.
+    pub(crate) fn go_on(disk: &'a Disk, seed: u64, world: World, mut totals: TotalsBySeq) -> Self {
+        disk.mark(0);
+        // What was on its way and is lost never was: other changes take its numbers.
+        totals.retain(|(name, life, seq), _| {
+            let there = world.get(name).filter(|there| there.life == *life);
+            there.is_none_or(|there| *seq <= there.seq)
+        });
+        Self {
+            lives: world.values().map(|scene| scene.life).max().unwrap_or(0),
+            story: Story {
+                worlds: vec![world.clone()],
+                totals,
+            },
+            world,
+            ..Self::new(disk, seed)
+        }
+    }
+
+    /// Some changes to all scenes there are.
+    pub(crate) async fn changes(&mut self) {
+        let service = Service::start(config(self.disk.path())).unwrap();
+        for name in self.world.clone().into_keys() {
+            let scene = running(&service, &name);
+            self.change(&scene).await;
+            self.change(&scene).await;
+        }
+        service.shutdown().await;
     }
 
     /// All that writes, once or a few times.
@@ -335,8 +369,14 @@ impl<'a> Client<'a> {
         assert_eq!(notices, Vec::<String>::new());
         let mut engine = Engine::new(edge()).with_stock(log.header().stock);
         log.replay(&mut |_| (), &mut |replayed| {
-            if let Replayed::Change(record) = replayed {
-                engine.apply(&record.effect).unwrap();
+            match replayed {
+                Replayed::Change(record) => engine.apply(&record.effect).unwrap(),
+                Replayed::Cubes(cubes) => {
+                    let inserted = cubes.to_vec();
+                    let deleted = Vec::new();
+                    engine.apply(&Effect { deleted, inserted }).unwrap();
+                }
+                Replayed::SnapshotBegin { .. } | Replayed::SnapshotEnd { .. } => {}
             }
             true
         })
