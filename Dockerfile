@@ -11,6 +11,7 @@ RUN cargo build --release --locked --bin union3d \
 
 FROM gcr.io/distroless/cc-debian12:nonroot
 COPY --from=build /union3d/target/release/union3d /usr/local/bin/union3d
+COPY deploy/LICENSE-MIT deploy/LICENSE-APACHE /usr/share/doc/union3d/
 # The user of this image (65532) owns the data directory, so that a fresh volume is writable.
 COPY --from=build --chown=65532:65532 /data /data
 USER 65532:65532

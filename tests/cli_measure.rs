@@ -270,6 +270,43 @@ fn bad_input_is_named_with_its_line_and_value() {
     );
 }
 
+/// However long the file: cubes go to the engine many at a time, and are read beside.
+#[test]
+fn what_is_wrong_first_in_a_file_is_named() {
+    let row = |id: u64| format!("{id},{id},0,0\n");
+    let good: String = (0..200_000).map(row).collect();
+    let conflict = "7,0,0,0\n";
+    let faulty = "id\n";
+    for (input, words) in [
+        // The reader is done with the end before the engine looks at the conflict.
+        (
+            [&good, conflict, faulty].concat(),
+            &["line 200001", "id 7 "],
+        ),
+        (
+            [&good, faulty, conflict].concat(),
+            &["line 200001", "1 values"],
+        ),
+        // The engine has refused a cube long before the reader is done.
+        (
+            [&row(7), conflict, &good, faulty].concat(),
+            &["line 2:", "id 7 "],
+        ),
+    ] {
+        check_refused(&["-", "--edge", "1"], input, words);
+    }
+}
+
+#[test]
+fn deletions_act_among_many_cubes_without_ids() {
+    // The server's numbers begin at 1, and so do a file's.
+    let mut input: String = (0..70_000)
+        .map(|x| format!("{{\"at\":[{},0,0]}}\n", 2 * x))
+        .collect();
+    input += "{\"delete\":1}\n{\"at\":[-8,0,0]}\n{\"delete\":70000}\n{\"delete\":70001}\n{\"at\":[-4,0,0]}\n";
+    check(input, [69_999.0, 69_999.0, 6.0 * 69_999.0, 12.0 * 69_999.0]);
+}
+
 #[test]
 fn bad_arguments_are_named() {
     check_refused(&["-"], "", &["--edge"]);

@@ -7,12 +7,12 @@ use std::path::Path;
 use union3d::wire::convert::InvalidSetting;
 
 /// Something to read, and its size if that is known.
-pub(crate) type Input = (Box<dyn Read>, Option<u64>);
+pub(crate) type Input = (Box<dyn Read + Send>, Option<u64>);
 
 /// A file (- is standard input) and its size, if that is known.
 pub(crate) fn open(path: &Path) -> Result<Input, Box<dyn std::error::Error>> {
     if path == Path::new("-") {
-        return Ok((Box::new(std::io::stdin().lock()), None));
+        return Ok((Box::new(std::io::stdin()), None));
     }
     let file = File::open(path).map_err(about(path))?;
     let metadata = file.metadata().map_err(about(path))?;

@@ -1,4 +1,10 @@
 //! `union3d measure`: mass properties of a file of cubes.
+//!
+//! ```text
+//!   file ──> a thread that reads: bytes to cubes, batch by batch ──> this thread: the engine, on all threads
+//! ```
+
+mod batches;
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
@@ -6,16 +12,14 @@ use std::process::ExitCode;
 
 use clap::ValueEnum;
 
+use self::batches::{Batches, union_of};
 use super::{Outcome, input, progress, report, solids};
-use union3d::engine::{Engine, Op, Rejected};
-use union3d::geometry::{CUBES_MAX, CubeId, InvalidCube, Place};
+use union3d::engine::Op;
+use union3d::geometry::{InvalidCube, Place};
 use union3d::wire::convert::{self, Anchor, Settings, SettingsDocument};
 use union3d::wire::decode;
 use union3d::wire::documents::{Line, NewCube};
 use union3d::wire::problem::Problem;
-
-/// Operations judged and applied together.
-const BATCH_OPERATIONS: usize = 65_536;
 
 /// How much of the input is looked at to tell what it is.
 const DETECTION_BYTES: usize = 8_192;
@@ -176,17 +180,15 @@ fn measure_cubes(args: Args) -> Outcome {
         Some(format) => format,
         None => detect(&mut source)?,
     };
-    let mut scene = Scene::new(&settings);
-    let read = match format {
-        Format::Csv => read_csv(source, &mut scene),
-        Format::Ndjson => read_ndjson(source, &mut scene),
-        Format::I32 => read_i32(source, &mut scene),
+    let union = union_of(&settings, |cubes| match format {
+        Format::Csv => read_csv(source, cubes),
+        Format::Ndjson => read_ndjson(source, cubes),
+        Format::I32 => read_i32(source, cubes),
         Format::Stl => Err("an STL file is a solid; say --kind solids".into()),
-    };
-    let read = read.and_then(|()| scene.apply());
+    });
     bar.finish_and_clear();
-    read.map_err(|failure| format!("{}: {failure}", file.display()))?;
-    let properties = convert::mass_properties(None, None, &scene.engine.totals(), &settings);
+    let totals = union.map_err(|failure| format!("{}: {failure}", file.display()))?;
+    let properties = convert::mass_properties(None, None, &totals, &settings);
     let mut output = std::io::stdout().lock();
     if json {
         writeln!(output, "{}", serde_json::to_string(&properties)?)?;
@@ -225,86 +227,6 @@ fn detect(source: &mut impl BufRead) -> std::io::Result<Format> {
     )
 }
 
-/// The cubes read so far, and the operations not applied yet.
-struct Scene<'settings> {
-    settings: &'settings Settings,
-    engine: Engine,
-    waiting: Vec<Op>,
-    /// Where each waiting operation stands, for errors: lines, or numbers of cubes.
-    places: Vec<u64>,
-    /// What `places` counts.
-    counted: &'static str,
-    /// Whether the first cube had an id; all must do the same.
-    ids: Option<bool>,
-    next_id: u64,
-}
-
-impl<'settings> Scene<'settings> {
-    fn new(settings: &'settings Settings) -> Self {
-        Self {
-            settings,
-            engine: Engine::new(settings.edge()),
-            waiting: Vec::new(),
-            places: Vec::new(),
-            counted: "line",
-            ids: None,
-            next_id: 1,
-        }
-    }
-
-    /// A cube at a position in user units.
-    fn insert_at(&mut self, line: u64, id: Option<u64>, at: [f64; 3]) -> Result<(), Failure> {
-        let place = self.settings.place(at).map_err(|(axis, invalid)| {
-            format!(
-                "line {line}: {} = {}: {invalid}",
-                ["x", "y", "z"][axis],
-                at[axis]
-            )
-        })?;
-        if *self.ids.get_or_insert(id.is_some()) != id.is_some() {
-            return Err(format!(
-                "line {line}: either every cube has an id, or none ({} here)",
-                if id.is_some() {
-                    "there is one"
-                } else {
-                    "there is none"
-                }
-            )
-            .into());
-        }
-        self.insert(line, id, place)
-    }
-
-    fn insert(&mut self, line: u64, id: Option<u64>, place: Place) -> Result<(), Failure> {
-        let id = id.unwrap_or(self.next_id);
-        self.next_id += 1;
-        self.push(line, Op::Insert(CubeId(id), place))
-    }
-
-    fn push(&mut self, line: u64, op: Op) -> Result<(), Failure> {
-        self.waiting.push(op);
-        self.places.push(line);
-        if self.waiting.len() == BATCH_OPERATIONS {
-            self.apply()?;
-        }
-        Ok(())
-    }
-
-    fn apply(&mut self) -> Result<(), Failure> {
-        let judged = self.engine.judge(&self.waiting, CUBES_MAX).map_err(|rejected| match rejected {
-            Rejected::IdConflict { index, id, there, .. } => format!(
-                "{} {}: id {} is there already, at another place ({:?}): give every cube an id of its own",
-                self.counted, self.places[index], id.0, self.settings.at(there)
-            ),
-            Rejected::TooManyCubes { .. } => rejected.to_string(),
-        })?;
-        self.engine.apply(&judged.effect)?;
-        self.waiting.clear();
-        self.places.clear();
-        Ok(())
-    }
-}
-
 /// Where a file of CSV has its columns.
 #[derive(Clone, Copy)]
 struct Columns {
@@ -312,7 +234,7 @@ struct Columns {
     at: [usize; 3],
 }
 
-fn read_csv(source: impl Read, scene: &mut Scene<'_>) -> Result<(), Failure> {
+fn read_csv(source: impl Read, cubes: &mut Batches<'_>) -> Result<(), Failure> {
     let mut reader = csv::ReaderBuilder::new()
         .has_headers(false)
         .flexible(true)
@@ -364,7 +286,7 @@ fn read_csv(source: impl Read, scene: &mut Scene<'_>) -> Result<(), Failure> {
                 )
             })?;
         }
-        scene.insert_at(line, id, at)?;
+        cubes.insert_at(line, id, at)?;
     }
     Ok(())
 }
@@ -417,7 +339,7 @@ fn find_columns(first: &csv::StringRecord) -> Result<(Columns, bool), String> {
     ))
 }
 
-fn read_ndjson(mut source: impl BufRead, scene: &mut Scene<'_>) -> Result<(), Failure> {
+fn read_ndjson(mut source: impl BufRead, cubes: &mut Batches<'_>) -> Result<(), Failure> {
     let mut text = Vec::new();
     for line in 1.. {
         text.clear();
@@ -438,9 +360,9 @@ fn read_ndjson(mut source: impl BufRead, scene: &mut Scene<'_>) -> Result<(), Fa
         };
         match decode::file_line(json).map_err(wrong)? {
             Line::Insert(NewCube { id, at }) => {
-                scene.insert_at(line, id.map(|id| id.id.0), at)?;
+                cubes.insert_at(line, id.map(|id| id.id.0), at)?;
             }
-            Line::Delete(id) => scene.push(line, Op::Delete(id.id))?,
+            Line::Delete(id) => cubes.push(line, Op::Delete(id.id))?,
         }
     }
     Ok(())
@@ -450,8 +372,7 @@ fn excerpt(text: &[u8]) -> String {
     String::from_utf8_lossy(text).chars().take(80).collect()
 }
 
-fn read_i32(mut source: impl Read, scene: &mut Scene<'_>) -> Result<(), Failure> {
-    scene.counted = "cube";
+fn read_i32(mut source: impl Read, cubes: &mut Batches<'_>) -> Result<(), Failure> {
     let mut triplet = [0; 12];
     for number in 1.. {
         let size = fill(&mut source, &mut triplet)?;
@@ -468,9 +389,9 @@ fn read_i32(mut source: impl Read, scene: &mut Scene<'_>) -> Result<(), Failure>
         for (to, bytes) in corner.iter_mut().zip(triplet.as_chunks().0) {
             *to = i64::from(i32::from_le_bytes(*bytes));
         }
-        let place = Place::new(corner, scene.settings.edge())
+        let place = Place::new(corner, cubes.edge())
             .map_err(|invalid: InvalidCube| format!("cube {number}: {invalid}"))?;
-        scene.insert(number, None, place)?;
+        cubes.insert(place)?;
     }
     Ok(())
 }
