@@ -45,3 +45,7 @@ pub mod log;
 pub mod service;
 pub mod toolpath;
 pub mod wire;
+
+#[cfg(test)]
+#[path = "../tests/oracle/random.rs"]
+mod random;

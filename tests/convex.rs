@@ -8,23 +8,15 @@ use union3d::geometry::convex::{
     Point, STRAIGHT_ANGLE, Solid, VERTICES_MAX,
 };
 
-/// A small generator (splitmix64), so that a printed seed gives the same case everywhere.
-struct Random(u64);
+#[path = "oracle/random.rs"]
+mod random;
+use random::Random;
 
-impl Random {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut bits = self.0;
-        bits = (bits ^ bits >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        bits = (bits ^ bits >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-        bits ^ bits >> 31
-    }
+trait Points {
+    fn point(&mut self, low: i64, high: i64) -> Point;
+}
 
-    /// A number from `low` to `high`, both included.
-    fn within(&mut self, low: i64, high: i64) -> i64 {
-        low + (self.next() % (high - low + 1) as u64) as i64
-    }
-
+impl Points for Random {
     fn point(&mut self, low: i64, high: i64) -> Point {
         point([0; 3].map(|_: i32| self.within(low, high)))
     }
@@ -162,7 +154,7 @@ fn hulls_are_what_the_definition_says() {
     // Worlds of two to five steps: most points are repeated, in line or coplanar with others.
     for seed in 0..3000 {
         println!("seed {seed}");
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let size = random.within(1, 4);
         let count = random.within(1, 14);
         let cloud: Vec<Point> = (0..count).map(|_| random.point(0, size)).collect();
@@ -314,7 +306,7 @@ fn flat_hulls_are_refused() {
 fn displaced_solids_are_hulls_of_displaced_points() {
     for seed in 0..200 {
         println!("seed {seed}");
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let cloud: Vec<Point> = (0..12).map(|_| random.point(-5, 5)).collect();
         let Ok(solid) = Solid::hull(&cloud) else {
             continue;
@@ -347,7 +339,7 @@ fn both_positions(solid: &Solid, from: Point, to: Point) -> Vec<Point> {
 fn sweeps_are_hulls_of_both_positions() {
     for seed in 0..4000 {
         println!("seed {seed}");
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let size = random.within(1, 5);
         let count = random.within(4, 20);
         let cloud: Vec<Point> = (0..count).map(|_| random.point(0, size)).collect();
@@ -367,7 +359,7 @@ fn sweeps_are_hulls_of_both_positions() {
 fn sweeps_to_a_common_top_are_hulls_of_raised_positions() {
     for seed in 0..2000 {
         println!("seed {seed}");
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         // A prism with a pointed lower end.
         let size = random.within(1, 4);
         let height = random.within(1, 3);

@@ -9,6 +9,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
+#[path = "oracle/random.rs"]
+mod random;
+
+use random::Random;
 use reqwest::{Client, StatusCode};
 use serde_json::{Value, json};
 
@@ -209,7 +213,7 @@ async fn nothing_acknowledged_is_lost_and_nothing_is_half_there() {
         .unwrap();
     assert_eq!(made.status(), StatusCode::CREATED);
     // The seed of the moments of death; the rest of the timing is the machine's.
-    let mut moment = 12_345_u64;
+    let mut moments = Random::new(12_345);
     let mut generations = vec![0_u64; CLIENTS as usize];
     for kill in 1..=KILLS {
         let count = Arc::new(AtomicU64::new(0));
@@ -220,10 +224,7 @@ async fn nothing_acknowledged_is_lost_and_nothing_is_half_there() {
                 tokio::spawn(stream(url, client, from, count.clone()))
             })
             .collect();
-        moment = moment
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1);
-        let enough = 3 + (moment >> 33) % 60;
+        let enough = 3 + moments.below(60);
         let deadline = Instant::now() + Duration::from_secs(60);
         while count.load(Ordering::Relaxed) < enough {
             assert!(Instant::now() < deadline, "the server is too slow");

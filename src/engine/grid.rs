@@ -945,22 +945,15 @@ mod tests {
     use std::collections::BTreeMap;
 
     use super::*;
+    use crate::random::Random;
 
-    /// A generator that needs no seed to be told: splitmix64 of a counter.
-    struct Counter(u64);
-
-    impl Counter {
-        fn within(&mut self, half: i32) -> i32 {
-            self.0 += 1;
-            let mut mixed = self.0.wrapping_mul(0x9e37_79b9_7f4a_7c15);
-            mixed = (mixed ^ (mixed >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-            mixed ^= mixed >> 27;
-            let span = u64::from(half.unsigned_abs()) * 2 + 1;
-            i32::try_from(mixed % span).unwrap() - half
-        }
+    /// A coordinate from `-half` to `half`.
+    fn coordinate(random: &mut Random, half: i32) -> i32 {
+        let half = i64::from(half);
+        i32::try_from(random.within(-half, half)).unwrap()
     }
 
-    fn check(grid: &mut Grid, cubes: &BTreeMap<u64, [i32; 3]>, random: &mut Counter) {
+    fn check(grid: &mut Grid, cubes: &BTreeMap<u64, [i32; 3]>, random: &mut Random) {
         assert_eq!(grid.len(), cubes.len());
         let least = |axis: usize| cubes.values().map(|corner| corner[axis]).min();
         let greatest = |axis: usize| cubes.values().map(|corner| corner[axis]).max();
@@ -976,7 +969,7 @@ mod tests {
         kept.sort_unstable();
         assert_eq!(corners, kept);
         for _ in 0..5 {
-            let some = usize::try_from(random.within(i32::MAX / 4).unsigned_abs()).unwrap();
+            let some = random.below(1_usize << 29);
             let Some(own) = cubes.values().nth(some % cubes.len().max(1)) else {
                 return;
             };
@@ -1000,7 +993,7 @@ mod tests {
     fn threads_fill_the_same_bins() {
         let edge = Edge::new(100).unwrap();
         for threads in 1..=3 {
-            let mut random = Counter(threads as u64);
+            let mut random = Random::new(threads as u64);
             let [mut one, mut several] = [(); 2].map(|()| Grid::for_neighbours(edge));
             let mut cubes = BTreeMap::new();
             let mut levels = 0;
@@ -1017,7 +1010,7 @@ mod tests {
                 let first = change as u64 * 100_000;
                 let mut batch: Vec<_> = (first..first + count)
                     .map(|id| {
-                        let corner = [0; 3].map(|_: i32| random.within(half));
+                        let corner = [0; 3].map(|_: i32| coordinate(&mut random, half));
                         (CubeId(id), Place::from_checked(corner))
                     })
                     .collect();
@@ -1060,7 +1053,7 @@ mod tests {
     fn levels_come_and_go() {
         let edge = Edge::new(100).unwrap();
         for bins in [Grid::for_neighbours(edge), Grid::for_small_boxes(edge)] {
-            let (mut grid, mut random) = (bins, Counter(1));
+            let (mut grid, mut random) = (bins, Random::new(1));
             let mut cubes = BTreeMap::new();
             let mut next = 0;
             for (phase, (half, count)) in [
@@ -1073,7 +1066,7 @@ mod tests {
             .enumerate()
             {
                 for _ in 0..count {
-                    let corner = [0; 3].map(|_: i32| random.within(half));
+                    let corner = [0; 3].map(|_: i32| coordinate(&mut random, half));
                     grid.insert(Place::from_checked(corner), CubeId(next));
                     cubes.insert(next, corner);
                     next += 1;

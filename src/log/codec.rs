@@ -527,6 +527,7 @@ impl<'a> Reader<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::random::Random;
 
     fn edge() -> Edge {
         Edge::new(7).unwrap()
@@ -542,19 +543,9 @@ mod tests {
         bytes
     }
 
-    /// xorshift64*: enough for data that has no pattern.
-    fn noise(mut state: u64) -> impl FnMut() -> u64 {
-        move || {
-            state ^= state >> 12;
-            state ^= state << 25;
-            state ^= state >> 27;
-            state.wrapping_mul(0x2545_F491_4F6C_DD1D)
-        }
-    }
-
     fn scattered(count: usize, seed: u64) -> Vec<Cube> {
-        let mut next = noise(seed);
-        let mut coordinate = || i64::from(u32::try_from(next() >> 33).unwrap()) - (1 << 30);
+        let mut random = Random::new(seed);
+        let mut coordinate = || random.within(-1 << 30, (1 << 30) - 1);
         (0..count)
             .map(|_| {
                 let corner = [coordinate(), coordinate(), coordinate()];
@@ -647,7 +638,7 @@ mod tests {
     fn malformed_bytes_are_errors() {
         let cubes = scattered(40, 2);
         let compressed = scattered(400, 3);
-        let mut next = noise(4);
+        let mut random = Random::new(4);
         for good in [
             encoded([&cubes, &cubes[..3]]),
             encoded([&compressed, &cubes]),
@@ -661,8 +652,8 @@ mod tests {
             assert!(decode::<2>(&[&good[..], &[0]].concat(), edge()).is_err());
             for _ in 0..20_000 {
                 let mut bad = good.clone();
-                let at = usize::try_from(next()).unwrap() % bad.len().min(64);
-                bad[at] ^= next().to_le_bytes()[0];
+                let at = random.below(bad.len().min(64));
+                bad[at] ^= random.next().to_le_bytes()[0];
                 // Without a CRC a flipped byte may well be another valid packing; it must only not panic.
                 drop(decode::<2>(&bad, edge()));
             }
@@ -679,8 +670,8 @@ mod tests {
         }
         for _ in 0..20_000 {
             let mut bad = good.clone();
-            let at = usize::try_from(next()).unwrap() % bad.len();
-            bad[at] = next().to_le_bytes()[0];
+            let at = random.below(bad.len());
+            bad[at] = random.next().to_le_bytes()[0];
             let _ = totals(&bad);
         }
     }

@@ -21,9 +21,6 @@ mod lifecycle;
 mod meters;
 mod next_id;
 mod offline;
-#[cfg(test)]
-#[path = "../../tests/oracle/random.rs"]
-mod random;
 mod registry;
 mod replay;
 mod revert;

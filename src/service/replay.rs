@@ -197,7 +197,7 @@ mod tests {
     use super::*;
     use crate::log::Record;
     use crate::service::Motion;
-    use crate::service::random::Random;
+    use crate::random::Random;
 
     /// What many changes do together is what they do one after the other: cubes that come and go, move, and come again.
     #[test]

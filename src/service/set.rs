@@ -291,7 +291,7 @@ mod tests {
     use super::*;
     use crate::engine::Op;
     use crate::geometry::{CUBES_MAX, Edge, Totals};
-    use crate::service::random::Random;
+    use crate::random::Random;
 
     const EDGE: i32 = 24;
     const SIDE: i64 = 120;

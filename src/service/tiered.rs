@@ -110,7 +110,7 @@ fn merge<K: Ord + Copy, V>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::service::random::Random;
+    use crate::random::Random;
 
     /// Against a plain map: single entries and runs in any order, small keys so that most come again.
     #[test]

@@ -118,7 +118,7 @@ mod tests {
 
     use super::*;
     use crate::geometry::Edge;
-    use crate::service::random::Random;
+    use crate::random::Random;
 
     /// Whatever changes between two steps (cubes come, go, move, and the table grows and shrinks): what is read is the set as it was at
     /// the first one, and no step reads more than it may.

@@ -5,6 +5,8 @@ mod described;
 mod description;
 mod golden;
 mod ids;
+#[path = "../oracle/random.rs"]
+mod random;
 mod reads;
 mod refusals;
 mod revert;

@@ -5,6 +5,7 @@ use serde_json::{Value, json};
 use union3d::service::ServiceConfig;
 use union3d::wire::http::Limits;
 
+use crate::random::Random;
 use crate::server::{JSON, Server, send};
 
 #[tokio::test]
@@ -77,17 +78,11 @@ async fn what_is_no_longer_kept_is_gone_with_the_oldest_that_is() {
     let scene = server.scene("s", 2).await;
     let path = format!("{scene}/revert");
     // Every cube moves with every change, so that the log is soon longer than what it leads to.
-    let mut random = 1_u64;
+    let mut random = Random::new(1);
     let refused = loop {
         let mut change = json!({"delete": [], "insert": []});
         for id in 0..10_000 {
-            let mut at = [0; 3];
-            for coordinate in &mut at {
-                random = random
-                    .wrapping_mul(6_364_136_223_846_793_005)
-                    .wrapping_add(1);
-                *coordinate = random >> 36;
-            }
+            let at = [(); 3].map(|()| random.below(1 << 28));
             change["delete"].as_array_mut().unwrap().push(json!(id));
             change["insert"]
                 .as_array_mut()
