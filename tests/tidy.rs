@@ -33,8 +33,15 @@ fn root() -> &'static Path {
 
 /// The sources of a module: `src/name.rs` and everything under `src/name`.
 fn sources(module: &str) -> Vec<PathBuf> {
+    let mut found = sources_under(root().join("src").join(module));
+    let single = root().join("src").join(format!("{module}.rs"));
+    found.extend(single.exists().then_some(single));
+    found
+}
+
+fn sources_under(directory: PathBuf) -> Vec<PathBuf> {
     let mut found = Vec::new();
-    let mut open = vec![root().join("src").join(module)];
+    let mut open = vec![directory];
     while let Some(directory) = open.pop() {
         for entry in fs::read_dir(directory).into_iter().flatten() {
             let path = entry.unwrap().path();
@@ -45,8 +52,6 @@ fn sources(module: &str) -> Vec<PathBuf> {
             }
         }
     }
-    let single = root().join("src").join(format!("{module}.rs"));
-    found.extend(single.exists().then_some(single));
     found
 }
 
@@ -136,6 +141,24 @@ fn the_core_has_no_floats_and_no_async() {
                         );
                     }
                 }
+            }
+        }
+    }
+}
+
+/// What is quoted must not depend on how the server keeps its data.
+#[test]
+fn the_benchmarks_know_the_server_as_its_users_do() {
+    let sources = sources_under(root().join("tests/bench/src"));
+    assert!(!sources.is_empty(), "there are benchmarks");
+    for path in sources {
+        for (number, line) in code(&path) {
+            for private in ["union3d::log", "union3d::service", "sqlite"] {
+                assert!(
+                    !line.contains(private),
+                    "{}:{number}: {private} in a benchmark: {line}",
+                    path.display()
+                );
             }
         }
     }

@@ -196,8 +196,8 @@ mod tests {
 
     use super::*;
     use crate::log::Record;
-    use crate::service::Motion;
     use crate::random::Random;
+    use crate::service::Motion;
 
     /// What many changes do together is what they do one after the other: cubes that come and go, move, and come again.
     #[test]

@@ -1,0 +1,13 @@
+//! The tests of the core, as one program: `tests/run` runs them with every assertion, and as a release is compiled. What comes
+//! of a script must be the same in both; a golden hash says so.
+
+extern crate union3d_core as union3d;
+
+#[path = "../convex.rs"]
+mod convex;
+#[path = "../engine.rs"]
+mod engine;
+#[path = "../geometry.rs"]
+mod geometry;
+#[path = "../solids.rs"]
+mod solids;
