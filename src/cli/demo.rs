@@ -12,12 +12,12 @@ use tokio::signal::unix::{SignalKind, signal};
 use tokio_util::sync::CancellationToken;
 
 use super::client::{Client, SceneWanted};
-use super::cutter::{Cutter, Unit};
+use super::cutter::{Cutter, Length, Unit};
 use super::{Outcome, report};
 use union3d::config::ServeConfig;
 use union3d::geometry::Place;
 use union3d::service::{Readiness, Service};
-use union3d::toolpath::{Event, Motion, Moves};
+use union3d::toolpath::{Event, Interpreter, Motion, Options};
 use union3d::wire::convert::{Anchor, Settings, SettingsDocument};
 use union3d::wire::grpc;
 use union3d::wire::http::{self, Limits};
@@ -213,9 +213,9 @@ fn places() -> Result<Vec<Place>, Box<dyn std::error::Error>> {
         ..SettingsDocument::with_edge(EDGE)
     };
     let settings = Settings::check(&wanted).map_err(|faults| super::input::faults(&faults))?;
-    let mut cutter = Cutter::new(&settings, Unit::Mm, STEP);
+    let mut cutter = Cutter::new(&settings, Unit::Mm, STEP, Length::Given(EDGE));
     let mut places = Vec::new();
-    for event in Moves::new(PROGRAM.as_bytes()) {
+    for event in Interpreter::new(PROGRAM, Options::default()) {
         if let Event::Move(next) = event?
             && next.motion != Motion::Rapid
         {

@@ -7,6 +7,8 @@ mod demo;
 mod input;
 mod measure;
 mod mill;
+mod path;
+mod program;
 mod progress;
 mod report;
 mod serve;
@@ -33,6 +35,7 @@ enum Command {
     Serve(serve::Args),
     Demo(demo::Args),
     Mill(mill::Args),
+    Path(path::Args),
     Measure(measure::Args),
     Audit(audit::Args),
 }
@@ -43,6 +46,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Serve(args) => serve::run(args),
         Command::Demo(args) => demo::run(args),
         Command::Mill(args) => mill::run(args),
+        Command::Path(args) => path::run(args),
         Command::Measure(args) => measure::run(args),
         Command::Audit(args) => audit::run(args),
     };

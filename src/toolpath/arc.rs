@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use super::path::Arc;
+use super::path::{Arc, Plane};
 
 /// Start and end of an arc may lie this much nearer to or farther from its centre than each other without a word. Units: mm.
 pub(super) const RADIUS_DIFFERENCE_REPORTED: f64 = 0.02;
@@ -27,7 +27,7 @@ pub(super) enum Centre {
 /// # Errors
 /// A sentence with the values at fault.
 pub(super) fn arc(
-    plane: [usize; 2],
+    plane: Plane,
     [start, end]: [[f64; 2]; 2],
     centre: Centre,
     counterclockwise: bool,

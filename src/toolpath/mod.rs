@@ -1,21 +1,40 @@
 //! G-code to positions: what the tip of the cutter does, line by line, in millimetres.
 //!
 //! ```text
-//!   text ── words ── Block ── program ── Move ── path ── positions
-//!           (gcode crate)     (the machine's      (straight lines, arcs,
-//!                              modal state)         at least one every step)
+//!   text ── lines ── Block ── Machine ── Move ── positions
+//!     └── O-words, calls ──┘  (modes, frames,  (straight lines, arcs,
+//!          (Interpreter)       compensation)    at least one every step)
 //! ```
 //!
 //! Knows nothing of cubes, lattices or scenes. Everything here is a float: the lattice begins where a position becomes a cube.
-//! Nothing is kept but the machine's state, so a program of any length runs in constant memory.
 //!
-//! The machine starts at the origin, absolute (G90), in millimetres (G21), in the XY plane (G17), with arc centres relative to
-//! the start (G91.1) and no motion word in force.
+//! The path is right, or the program is refused at its line. What a word means, and which words are let pass because they change
+//! nothing of the path, stands in one table (`codes`), by dialect; controllers are followed where they differ.
+//!
+//! The machine starts absolute (G90), in millimetres (G21), in the plane XY (G17), in G54, with arc centres relative to the start
+//! (G91.1) and no motion word in force. Where it stands is not known: coordinates count from what the program says first.
 
 mod arc;
+mod block;
+mod codes;
+mod compensation;
+mod cycle;
+mod dialect;
+mod event;
+mod expression;
+mod flow;
+mod frames;
+mod interpreter;
+mod machine;
+mod parameters;
 mod path;
-mod program;
-mod words;
+mod spline;
+mod text;
+mod tools;
 
-pub use path::{Motion, Move, Sampler};
-pub use program::{Event, Fault, Moves, ReadError, Warning};
+pub use codes::words_table;
+pub use dialect::Dialect;
+pub use event::{Event, Fault, Warning};
+pub use interpreter::{Interpreter, Options, RapidPath};
+pub use path::{Motion, Move, Plane, Sampler};
+pub use tools::{Tool, ToolTable};

@@ -1,5 +1,45 @@
 //! The shape of one move, and the positions along it.
 
+/// The plane of arcs and cycles.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Plane {
+    /// G17.
+    Xy,
+    /// G18.
+    Zx,
+    /// G19.
+    Yz,
+}
+
+impl Plane {
+    /// First and second axis (0 is x): counterclockwise turns the first into the second.
+    pub fn axes(self) -> [usize; 2] {
+        match self {
+            Self::Xy => [0, 1],
+            Self::Zx => [2, 0],
+            Self::Yz => [1, 2],
+        }
+    }
+
+    /// The axis that stands on it.
+    pub fn normal(self) -> usize {
+        match self {
+            Self::Xy => 2,
+            Self::Zx => 1,
+            Self::Yz => 0,
+        }
+    }
+
+    /// `xy`, `zx` or `yz`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Xy => "xy",
+            Self::Zx => "zx",
+            Self::Yz => "yz",
+        }
+    }
+}
+
 /// What makes the cutter move.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Motion {
@@ -26,14 +66,20 @@ pub struct Move {
     pub length: f64,
     /// Feed in mm per minute; none for rapids, and where the program gives none.
     pub feed: Option<f64>,
+    /// Number of the tool in the spindle; 0 before the first is loaded.
+    pub tool: u32,
+    /// Whether the program has said where the move begins. Before the first word of an axis, and after a return to a reference
+    /// point that is not known, `start` is only what was last said.
+    pub start_known: bool,
+    /// Which of the coordinates of `end` the program has said.
+    pub end_known: [bool; 3],
     pub(super) arc: Option<Arc>,
 }
 
 /// An arc about an axis, turning evenly while its radius (by a little) and its height change evenly.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub(super) struct Arc {
-    /// First and second axis of the plane: counterclockwise turns the first into the second.
-    pub(super) plane: [usize; 2],
+    pub(super) plane: Plane,
     /// Centre, on those two axes.
     pub(super) centre: [f64; 2],
     /// Distance from the centre at the start and at the end.
@@ -44,40 +90,88 @@ pub(super) struct Arc {
 }
 
 impl Move {
-    pub(super) fn straight(
-        line: u64,
-        motion: Motion,
-        [start, end]: [[f64; 3]; 2],
-        feed: Option<f64>,
-    ) -> Self {
+    /// A straight move between known points.
+    pub(super) fn straight(line: u64, motion: Motion, [start, end]: [[f64; 3]; 2]) -> Self {
         Self {
             line,
             motion,
             start,
             end,
             length: distance(start, end),
-            feed,
+            feed: None,
+            tool: 0,
+            start_known: true,
+            end_known: [true; 3],
             arc: None,
         }
     }
 
-    pub(super) fn arc(line: u64, [start, end]: [[f64; 3]; 2], arc: Arc, feed: Option<f64>) -> Self {
+    /// An arc between known points.
+    pub(super) fn arc(line: u64, ends: [[f64; 3]; 2], arc: Arc) -> Self {
         let mut this = Self {
-            line,
             motion: Motion::Arc,
-            start,
-            end,
             length: 0.0,
-            feed,
             arc: Some(arc),
+            ..Self::straight(line, Motion::Arc, ends)
         };
-        this.length = GAUSS
-            .iter()
-            .map(|&(offset, weight)| {
-                weight * (this.speed(arc, 0.5 - offset / 2.0) + this.speed(arc, 0.5 + offset / 2.0))
-            })
-            .sum();
+        this.length = if arc.radius[0].to_bits() == arc.radius[1].to_bits() {
+            this.speed(arc, 0.0)
+        } else {
+            let speed = |part| this.speed(arc, part);
+            let pairs = GAUSS.iter().map(|&(offset, weight)| {
+                weight * (speed(0.5 - offset / 2.0) + speed(0.5 + offset / 2.0))
+            });
+            pairs.sum()
+        };
         this
+    }
+
+    /// The centre of an arc, level with its start along the normal of its plane. Units: mm.
+    pub fn center(&self) -> Option<[f64; 3]> {
+        self.arc.map(|arc| {
+            let [first, second] = arc.plane.axes();
+            let mut center = self.start;
+            (center[first], center[second]) = (arc.centre[0], arc.centre[1]);
+            center
+        })
+    }
+
+    /// The plane of an arc.
+    pub fn plane(&self) -> Option<Plane> {
+        self.arc.map(|arc| arc.plane)
+    }
+
+    /// Turns that an arc begins, counterclockwise positive: 1 up to a full circle, 2 up to two.
+    #[expect(clippy::cast_possible_truncation, reason = "a million at most")]
+    pub fn turns(&self) -> Option<i32> {
+        // A full circle must not begin a second turn for the last bit of its angle.
+        let begun = |sweep: f64| (sweep.abs() / std::f64::consts::TAU - 1e-9).ceil().max(1.0);
+        self.arc
+            .map(|arc| begun(arc.sweep).copysign(arc.sweep) as i32)
+    }
+
+    /// The end of it alone, without a length.
+    pub fn end_only(&self) -> Self {
+        Self {
+            start: self.end,
+            length: 0.0,
+            arc: None,
+            ..*self
+        }
+    }
+
+    /// The same move seen from a frame whose origin is at `origin`.
+    pub(super) fn seen_from(mut self, origin: [f64; 3]) -> Self {
+        for axis in 0..3 {
+            self.start[axis] -= origin[axis];
+            self.end[axis] -= origin[axis];
+        }
+        if let Some(arc) = &mut self.arc {
+            for (centre, axis) in arc.centre.iter_mut().zip(arc.plane.axes()) {
+                *centre -= origin[axis];
+            }
+        }
+        self
     }
 
     /// The position when `part` (0 to 1) of the move is done. Exact at both ends; even in length but for an arc whose radius
@@ -93,8 +187,9 @@ impl Move {
         if let Some(arc) = self.arc {
             let radius = mix(arc.radius[0], arc.radius[1], part);
             let (sine, cosine) = (arc.angle + arc.sweep * part).sin_cos();
-            position[arc.plane[0]] = arc.centre[0] + radius * cosine;
-            position[arc.plane[1]] = arc.centre[1] + radius * sine;
+            let [first, second] = arc.plane.axes();
+            position[first] = arc.centre[0] + radius * cosine;
+            position[second] = arc.centre[1] + radius * sine;
         }
         position
     }
@@ -128,7 +223,7 @@ impl Move {
     fn speed(&self, arc: Arc, part: f64) -> f64 {
         let around = arc.sweep * mix(arc.radius[0], arc.radius[1], part);
         let outwards = arc.radius[1] - arc.radius[0];
-        let normal = 3 - arc.plane[0] - arc.plane[1];
+        let normal = arc.plane.normal();
         let along = self.end[normal] - self.start[normal];
         (around * around + outwards * outwards + along * along).sqrt()
     }

@@ -3,7 +3,7 @@
 use std::sync::LazyLock;
 
 use union3d::log::fuzzing;
-use union3d::toolpath::Moves;
+use union3d::toolpath::{Interpreter, Options};
 use union3d::wire::convert::Settings;
 use union3d::wire::decode;
 use union3d::wire::problem::{Code, Problem};
@@ -60,7 +60,7 @@ fn refused_well<T>(read: Result<T, Problem>) {
 
 /// A program is run to its end or to its fault, and nothing comes after that.
 fn moves(bytes: &[u8]) {
-    let mut moves = Moves::new(bytes);
+    let mut moves = Interpreter::new(bytes, Options::default());
     let mut has_failed = false;
     for event in moves.by_ref() {
         assert!(!has_failed, "something comes after an error");

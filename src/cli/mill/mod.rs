@@ -7,7 +7,7 @@ mod target;
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{BufReader, BufWriter, Write};
+use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
@@ -19,18 +19,17 @@ use self::line::LineChange;
 use self::tally::{Cutting, Kind, Tally};
 use self::target::Target;
 use super::client::{Client, SceneWanted};
-use super::cutter::{Cutter, STEPS_PER_EDGE, Unit};
-use super::input::{self, Input};
+use super::cutter::{self, Cutter, Length, STEPS_PER_EDGE, Unit};
+use super::input;
+use super::path::{self, RAPID_RATE_MM};
+use super::program::{self, ProgramArgs};
 use super::{Outcome, progress, report};
 use union3d::geometry::Place;
-use union3d::toolpath::{Event, Motion, Move, Moves, Warning};
+use union3d::toolpath::{Event, Interpreter, Motion, Move, Warning};
 use union3d::wire::convert::{self, Anchor, Settings, SettingsDocument, StockDocument};
 
 /// Positions nearer to each other than this many lattice steps make no more places, only more work.
 const LATTICE_STEPS_MIN: f64 = 0.01;
-
-/// Speed of rapids when --rapid-rate is not given. Units: mm a minute.
-const RAPID_RATE_MM: f64 = 5000.0;
 
 /// The exit status when rapids cut and --fail-on-rapid-cut is given.
 const RAPID_CUT: u8 = 3;
@@ -46,14 +45,15 @@ const WARNINGS_MAX: u64 = 10;
 #[command(
     long_about = "Reads G-code, moves a cubic cutter along it, and measures the union of all cubes it covers: what it removes.
 
-The cutter is an axis-aligned cube of the given edge, centred on the path. It is put down at least once every --step along \
-straight lines and arcs, at both ends of every move, rounded to the lattice (halves away from zero); a place it is in already \
-is not counted again. Feed moves cut; with --rapid the rapids (G0) cut, too. With a stock rapids are always swept, and those that \
-remove something are reported; only not before the first move in Z, because where the machine stands at the beginning is not known.
+The cutter is square, as wide as the given edge and --length long, and stands with its tip on the programmed point: cubes on top of each other. \
+It is put down at least once every --step along straight lines and arcs, at both ends of every move, rounded to the lattice (halves away from zero); \
+a place it is in already is not counted again. Feed moves cut; with --rapid the rapids (G0) cut, too. With a stock rapids are always swept, and those that \
+remove something are reported.
 
-Understood: G0 G1 G2 G3 (I J K or R, helices, full circles), G4, G17 G18 G19, G20 G21, G90 G91, G90.1 G91.1, G92, G93 G94, \
-modal words, line numbers, comments, M0 M1 M2 M30. What else stands in the program is reported by line, once per kind: ignored \
-when the path is still the one that is written, refused (nothing is measured) when it would be wrong. The cutter starts at the origin.
+The path is right, or the program is refused at its line. What is understood, and what is let pass because it changes nothing of the path, says \
+`union3d path --words`; what was taken for granted or not done is reported, once per kind. Where the machine stands is not known before the program has said x, y and z, \
+and after it went to its reference point (G28, G30) or to machine coordinates (G53) without --home: a move from there cuts at its end only, a rapid to there hits nothing, \
+and a feed before the program has said the coordinate again is refused. A second tool is refused where it cuts, because there is one --edge.
 
 Each line of the program is one change, with the line's number as its `move` and its machine time as its `duration`: length by feed, \
 rapids (also those that cut nothing) at --rapid-rate, dwells (G4) as long as they say. A line of more than 65,536 cubes becomes several \
@@ -78,7 +78,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "LENGTH")]
     edge: f64,
     /// Longest way between two positions of the cutter, in the scene's unit [default: a twentieth of the edge].
-    #[arg(long, value_name = "LENGTH", value_parser = positive)]
+    #[arg(long, value_name = "LENGTH", value_parser = cutter::positive)]
     step: Option<f64>,
     /// Send the cubes to this server over HTTP, such as `http://127.0.0.1:7373`, instead of measuring them here.
     #[arg(long, value_name = "URL", conflicts_with = "grpc")]
@@ -93,7 +93,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "MIN:MAX", value_parser = stock, allow_hyphen_values = true)]
     stock: Option<[[f64; 3]; 2]>,
     /// Speed of rapids, in the scene's unit a minute [default: 5000 mm a minute].
-    #[arg(long, value_name = "RATE", value_parser = positive)]
+    #[arg(long, value_name = "RATE", value_parser = cutter::positive)]
     rapid_rate: Option<f64>,
     /// Write what each line removed to this file, as CSV.
     #[arg(long, value_name = "FILE")]
@@ -107,36 +107,29 @@ pub(crate) struct Args {
     /// Lattice steps in a unit: positions are rounded to them.
     #[arg(long, value_name = "STEPS", default_value_t = 1000)]
     steps_per_unit: u32,
+    /// Length of the cutter from its tip up, in the scene's unit [default: the edge; with --stock up to its top].
+    #[arg(long, value_name = "LENGTH", value_parser = cutter::positive)]
+    length: Option<f64>,
+    /// Take the square cutter for every tool of the program.
+    #[arg(long)]
+    one_cutter: bool,
+    #[command(flatten)]
+    program: ProgramArgs,
     /// Let rapids (G0) cut too.
     #[arg(long)]
     rapid: bool,
     /// Write the lower corners of the cubes, in steps, as little-endian 32-bit triplets: a file for `union3d measure`.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// Print one JSON object: `{"moves","cubes","seconds","cutting","mass_properties"}`.
+    /// Print one JSON object: `{"moves","moves_without_time","cubes","seconds","cutting","warnings","mass_properties"}`.
     #[arg(long)]
     json: bool,
 }
 
-fn positive(text: &str) -> Result<f64, String> {
-    match text.parse() {
-        Ok(value) if value > 0.0 && f64::is_finite(value) => Ok(value),
-        Ok(_) => Err("it must be more than 0".to_owned()),
-        Err(_) => Err("it is not a number".to_owned()),
-    }
-}
-
 /// A block, such as `0,0,-10:80,60,0`.
 fn stock(text: &str) -> Result<[[f64; 3]; 2], String> {
-    let corner = |text: &str| -> Option<[f64; 3]> {
-        let numbers: Result<Vec<f64>, _> = text
-            .split(',')
-            .map(|number| number.trim().parse())
-            .collect();
-        numbers.ok()?.try_into().ok()
-    };
     text.split_once(':')
-        .and_then(|(min, max)| Some([corner(min)?, corner(max)?]))
+        .and_then(|(min, max)| Some([program::point(min).ok()?, program::point(max).ok()?]))
         .ok_or_else(|| "it is not two corners, such as 0,0,-10:80,60,0".to_owned())
 }
 
@@ -144,21 +137,23 @@ fn stock(text: &str) -> Result<[[f64; 3]; 2], String> {
 #[derive(serde::Serialize)]
 struct Milled<'answer> {
     moves: u64,
+    moves_without_time: u64,
     cubes: u64,
     seconds: f64,
     cutting: Cutting,
+    warnings: &'answer [Warning],
     mass_properties: &'answer RawValue,
 }
 
 /// Runs `mill`.
 pub(crate) fn run(args: Args) -> Outcome {
     let settings = settings(&args)?;
-    let source = input::open(&args.file)?;
+    let program = args.program.open(&args.file)?;
     let runtime = tokio::runtime::Runtime::new()?;
-    runtime.block_on(mill(args, &settings, source))
+    runtime.block_on(mill(args, &settings, program))
 }
 
-async fn mill(args: Args, settings: &Settings, (source, size): Input) -> Outcome {
+async fn mill(args: Args, settings: &Settings, (mut program, size): (Interpreter, u64)) -> Outcome {
     let started = Instant::now();
     let step = args.step.unwrap_or(args.edge / STEPS_PER_EDGE);
     if step * f64::from(args.steps_per_unit) < LATTICE_STEPS_MIN {
@@ -171,39 +166,46 @@ async fn mill(args: Args, settings: &Settings, (source, size): Input) -> Outcome
     let mut out = created(args.out.as_deref())?;
     let csv = created(args.csv.as_deref())?.map(|file| Box::new(file) as Box<dyn Write>);
     let mut tally = Tally::new(args.steps_per_unit, csv);
-    let bar = progress::bytes(size);
+    let bar = progress::bytes(Some(size));
     let mut warnings = Warnings::default();
-    let mut cutter = Cutter::new(settings, args.unit, step);
-    let mut program = Moves::new(BufReader::new(source));
-    let (mut moves, mut cubes) = (0, 0_u64);
+    let mut cutter = Cutter::new(settings, args.unit, step, length(&args)?);
+    let mut count = Count::default();
+    let mut cutting_tool = None;
     let mut open: Option<LineChange> = None;
-    let mut approach = Approach {
-        known: args.stock.is_none(),
-    };
     while let Some(event) = program.next() {
         let (line, kind, time, next) = match event? {
             Event::Move(next) => {
-                moves += 1;
-                let seconds = seconds(&next, &args);
+                let seconds = path::seconds(&next, rapid_rate(&args));
+                count.take(&next, seconds);
                 (next.line, kind(&next), seconds, Some(next))
             }
-            Event::Dwell { line, seconds } => (line, Kind::Dwell, Some(seconds), None),
+            Event::Dwell { line, seconds, .. } => (line, Kind::Dwell, Some(seconds), None),
             Event::Warning(warning) => {
-                warnings.take(&warning, &bar);
+                warnings.take(warning, &bar);
                 continue;
             }
         };
         if let Some(complete) = open.take_if(|open| !open.takes(line, kind)) {
             send(complete, &mut target, &mut tally, &args).await?;
             bar.set_position(program.bytes());
-            bar.set_message(format!("{} cubes", report::figure(&cubes.into())));
+            bar.set_message(format!("{} cubes", report::figure(&count.cubes.into())));
         }
         let open = open.get_or_insert_with(|| LineChange::new(line, kind));
         open.join(kind, time.map(|time| duration(line, time)).transpose()?);
         let cuts = kind == Kind::Feed || args.rapid || args.stock.is_some();
-        let Some(swept) = next.filter(|_| cuts).and_then(|next| approach.swept(&next)) else {
+        let Some(swept) = next.filter(|_| cuts).and_then(|next| swept(&next)) else {
             continue;
         };
+        if kind == Kind::Feed
+            && *cutting_tool.get_or_insert(swept.tool) != swept.tool
+            && !args.one_cutter
+        {
+            return Err(format!(
+                "line {line}: tool {} cuts here, but --edge is one cutter for all tools; --one-cutter takes it for each of them",
+                swept.tool
+            )
+            .into());
+        }
         for place in cutter.places(&swept) {
             let place = place?;
             if let Some(out) = &mut out {
@@ -211,7 +213,7 @@ async fn mill(args: Args, settings: &Settings, (source, size): Input) -> Outcome
                     .map_err(input::about(args.out.as_deref().unwrap_or(Path::new(""))))?;
             }
             open.places.push(place);
-            cubes += 1;
+            count.cubes += 1;
         }
     }
     if let Some(complete) = open {
@@ -222,16 +224,29 @@ async fn mill(args: Args, settings: &Settings, (source, size): Input) -> Outcome
     }
     let (cuts, mass_properties) = target.finish(settings).await?;
     settle(&mut tally, &args, cuts)?;
-    let cutting = tally.finish().map_err(about_csv(&args))?;
+    if count.feeds == 0 {
+        let nothing = Warning {
+            line: 0,
+            code: "no-feed-moves".into(),
+            text: "in the whole program: nothing is cut".into(),
+        };
+        if args.program.is_strict() {
+            return Err(format!("{} {}", nothing.code, nothing.text).into());
+        }
+        warnings.take(nothing, &bar);
+    }
+    let cutting = tally.finish(&warnings.all).map_err(about_csv(&args))?;
     let seconds = started.elapsed().as_secs_f64();
     bar.finish_and_clear();
     warnings.close(&bar);
     let rapids_cut = cutting.rapid_cuts.count > 0;
     let milled = Milled {
-        moves,
-        cubes,
+        moves: count.moves,
+        moves_without_time: count.moves_without_time,
+        cubes: count.cubes,
         seconds,
         cutting,
+        warnings: &warnings.all,
         mass_properties: &mass_properties,
     };
     print(&args, &milled)?;
@@ -242,25 +257,50 @@ async fn mill(args: Args, settings: &Settings, (source, size): Input) -> Outcome
     })
 }
 
-/// The way to the work. Where the machine stands before a program begins is not known, so a rapid is no collision before the program
-/// has said how high the cutter is.
-struct Approach {
-    known: bool,
+/// What has come by.
+#[derive(Debug, Default)]
+struct Count {
+    moves: u64,
+    feeds: u64,
+    /// Feed moves before any F.
+    moves_without_time: u64,
+    cubes: u64,
 }
 
-impl Approach {
-    /// What of a move is swept: all of it; of the rapid that gives the height first only its end; of those before nothing.
-    fn swept(&mut self, next: &Move) -> Option<Move> {
-        let mut swept = *next;
-        if !self.known && next.motion == Motion::Rapid {
-            if (next.start[2] - next.end[2]).abs() < f64::EPSILON {
-                return None;
-            }
-            swept.start = swept.end;
-            swept.length = 0.0;
-        }
-        self.known = true;
-        Some(swept)
+impl Count {
+    fn take(&mut self, next: &Move, seconds: Option<f64>) {
+        self.moves += 1;
+        self.feeds += u64::from(next.motion != Motion::Rapid);
+        self.moves_without_time += u64::from(seconds.is_none());
+    }
+}
+
+/// What of a move is swept. Where the machine stands before the program has said so, or after it went to a reference point whose place
+/// is not known, nobody knows: a move from there cuts at its end only, and a rapid that leads there is no collision.
+fn swept(next: &Move) -> Option<Move> {
+    match (next.start_known, next.end_known == [true; 3]) {
+        (true, true) => Some(*next),
+        (false, true) => Some(next.end_only()),
+        (_, false) => None,
+    }
+}
+
+/// Units: mm a minute.
+fn rapid_rate(args: &Args) -> f64 {
+    args.rapid_rate
+        .map_or(RAPID_RATE_MM, |rate| rate * args.unit.mm())
+}
+
+/// How long the cutter is.
+fn length(args: &Args) -> Result<Length, String> {
+    match (args.length, args.stock) {
+        (Some(length), _) if length < args.edge => Err(format!(
+            "--length {length} is less than --edge {}: cubes are as high as they are wide",
+            args.edge
+        )),
+        (Some(length), _) => Ok(Length::Given(length)),
+        (None, Some([_, max])) => Ok(Length::UpTo(max[2])),
+        (None, None) => Ok(Length::Given(args.edge)),
     }
 }
 
@@ -269,18 +309,6 @@ fn kind(next: &Move) -> Kind {
         Motion::Rapid => Kind::Rapid,
         Motion::Feed | Motion::Arc => Kind::Feed,
     }
-}
-
-/// Machine time of a move; none when the program gives no feed.
-fn seconds(next: &Move, args: &Args) -> Option<f64> {
-    let rate = if next.motion == Motion::Rapid {
-        let rate = args.rapid_rate.map(|rate| rate * args.unit.mm());
-        Some(rate.unwrap_or(RAPID_RATE_MM))
-    } else {
-        next.feed
-    };
-    rate.filter(|rate| *rate > 0.0)
-        .map(|rate| next.length / rate * 60.0)
 }
 
 /// Machine time in whole nanoseconds, as a server keeps it.
@@ -490,23 +518,25 @@ async fn target(args: &Args, settings: &Settings) -> Result<Target, Box<dyn std:
 #[derive(Debug, Default)]
 pub(crate) struct Warnings {
     counts: BTreeMap<String, u64>,
+    all: Vec<Warning>,
 }
 
 impl Warnings {
     /// Prints a warning, or counts it.
-    pub(crate) fn take(&mut self, warning: &Warning, bar: &ProgressBar) {
-        let count = self.counts.entry(warning.subject.clone()).or_default();
+    pub(crate) fn take(&mut self, warning: Warning, bar: &ProgressBar) {
+        let count = self.counts.entry(warning.code.clone()).or_default();
         *count += 1;
         if *count <= WARNINGS_MAX {
             progress::line(bar, &format!("warning: {warning}"));
         }
+        self.all.push(warning);
     }
 
     /// Says how many were not printed.
     pub(crate) fn close(&self, bar: &ProgressBar) {
-        for (subject, count) in &self.counts {
+        for (code, count) in &self.counts {
             if let Some(more @ 1..) = count.checked_sub(WARNINGS_MAX) {
-                progress::line(bar, &format!("warning: {more} more lines: {subject}"));
+                progress::line(bar, &format!("warning: {more} more lines: {code}"));
             }
         }
     }

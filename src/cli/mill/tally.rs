@@ -5,9 +5,10 @@ use std::time::Duration;
 
 use serde::Serialize;
 
+use union3d::toolpath::Warning;
+
 /// What the cutter does on a line.
-#[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize)]
-#[serde(rename_all = "lowercase")]
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Kind {
     Feed,
     Rapid,
@@ -98,17 +99,18 @@ pub(super) struct RapidCut {
     pub(super) volume: f64,
 }
 
-/// A row of `--csv`. Units: user units, seconds.
-#[derive(Debug, Serialize)]
+/// A row of `--csv`: a line of the program, or after them all a warning. Units: user units, seconds.
+#[derive(Debug, Default, Serialize)]
 struct Row {
     line: u64,
-    motion: Kind,
-    cubes: u64,
+    motion: &'static str,
+    cubes: Option<u64>,
     duration: Option<f64>,
-    volume_removed: f64,
+    volume_removed: Option<f64>,
     removal_rate: Option<f64>,
-    total_removed: f64,
-    area: f64,
+    total_removed: Option<f64>,
+    area: Option<f64>,
+    warning: Option<String>,
 }
 
 impl<'file> Tally<'file> {
@@ -144,11 +146,19 @@ impl<'file> Tally<'file> {
     }
 
     /// What all lines did.
-    pub(super) fn finish(mut self) -> csv::Result<Cutting> {
+    pub(super) fn finish(mut self, warnings: &[Warning]) -> csv::Result<Cutting> {
         if let Some(complete) = self.open.take() {
             self.close(&complete)?;
         }
         if let Some(csv) = &mut self.csv {
+            for warning in warnings {
+                csv.serialize(Row {
+                    line: warning.line,
+                    motion: "warning",
+                    warning: Some(format!("{} {}", warning.code, warning.text)),
+                    ..Row::default()
+                })?;
+            }
             csv.flush()?;
         }
         let volume = |steps3| self.volume(steps3);
@@ -201,13 +211,18 @@ impl<'file> Tally<'file> {
         }
         let row = Row {
             line: cut.line,
-            motion: cut.kind,
-            cubes: cut.cubes,
+            motion: match cut.kind {
+                Kind::Feed => "feed",
+                Kind::Rapid => "rapid",
+                Kind::Dwell => "dwell",
+            },
+            cubes: Some(cut.cubes),
             duration: cut.duration.map(|duration| duration.as_secs_f64()),
-            volume_removed: removed,
+            volume_removed: Some(removed),
             removal_rate: rate,
-            total_removed: self.volume(cut.total_removed),
-            area: float(cut.area) / self.steps_per_unit.powi(2),
+            total_removed: Some(self.volume(cut.total_removed)),
+            area: Some(float(cut.area) / self.steps_per_unit.powi(2)),
+            warning: None,
         };
         match &mut self.csv {
             Some(csv) => csv.serialize(row),

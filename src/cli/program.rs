@@ -1,0 +1,144 @@
+//! How the commands that read G-code are told to read it.
+
+use std::path::{Path, PathBuf};
+
+use clap::ValueEnum;
+
+use super::input;
+use union3d::toolpath::{Dialect, Interpreter, Options, RapidPath, ToolTable};
+
+type Failure = Box<dyn std::error::Error>;
+
+/// How a program is read.
+#[derive(Debug, clap::Args)]
+pub(crate) struct ProgramArgs {
+    /// The controller the program is written for [default: guessed from the text].
+    #[arg(long, value_name = "NAME", value_parser = dialect)]
+    dialect: Option<Dialect>,
+    /// Whether what follows a / on a line is left out [default: on; off for grbl and marlin].
+    #[arg(long, value_name = "SWITCH", value_enum)]
+    block_delete: Option<Switch>,
+    /// Lengths and diameters of the tools: a tool.tbl of `LinuxCNC`.
+    #[arg(long, value_name = "FILE")]
+    tools: Option<PathBuf>,
+    /// Unit of --tools.
+    #[arg(long, value_enum, default_value_t = super::cutter::Unit::Mm)]
+    tools_unit: super::cutter::Unit,
+    /// Where a work system begins, in mm, such as `G55=0,20,0`: needed where a program uses several. Repeat it for each.
+    #[arg(long, value_name = "SYSTEM=X,Y,Z", value_parser = origin, allow_hyphen_values = true)]
+    origin: Vec<(usize, [f64; 3])>,
+    /// Where the machine's zero and its reference points are, seen from the first work system, in mm: then G28, G30 and G53 are run.
+    /// Without it their axes are unknown until the program says them again.
+    #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true)]
+    home: Option<[f64; 3]>,
+    /// How rapids go: straight, or each axis at its own speed (the default of Fanuc and Haas).
+    #[arg(long, value_name = "PATH", value_enum, default_value_t = Rapids::Straight)]
+    rapid_path: Rapids,
+    /// Splines are cut into chords no farther from them than this, in mm.
+    #[arg(long, value_name = "LENGTH", value_parser = super::cutter::positive, default_value_t = 0.01)]
+    tolerance: f64,
+    /// Refuse the program where it would only be warned about.
+    #[arg(long)]
+    strict: bool,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, Debug, ValueEnum)]
+enum Switch {
+    On,
+    Off,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, Debug, ValueEnum)]
+enum Rapids {
+    Straight,
+    Dogleg,
+}
+
+impl ProgramArgs {
+    /// A program about to be run, and its size in bytes.
+    ///
+    /// # Errors
+    /// When a file cannot be read, or its text is no table of tools.
+    pub(crate) fn open(&self, path: &Path) -> Result<(Interpreter, u64), Failure> {
+        let (mut source, _) = input::open(path)?;
+        let mut text = Vec::new();
+        source.read_to_end(&mut text).map_err(input::about(path))?;
+        let size = text.len() as u64;
+        let mut options = self.options()?;
+        let directory = path.parent().map(Path::to_owned);
+        options.directory = directory.filter(|_| path != Path::new("-"));
+        Ok((Interpreter::new(text, options), size))
+    }
+
+    /// Whether warnings refuse.
+    pub(crate) fn is_strict(&self) -> bool {
+        self.strict
+    }
+
+    fn options(&self) -> Result<Options, Failure> {
+        let mut options = Options {
+            dialect: self.dialect,
+            block_delete: self.block_delete.map(|switch| switch == Switch::On),
+            home: self.home,
+            rapid_path: match self.rapid_path {
+                Rapids::Straight => RapidPath::Straight,
+                Rapids::Dogleg => RapidPath::Dogleg,
+            },
+            tolerance: self.tolerance,
+            strict: self.strict,
+            ..Options::default()
+        };
+        for (system, origin) in &self.origin {
+            if options.origins[*system].replace(*origin).is_some() {
+                return Err(format!("--origin gives work system {} twice", system + 1).into());
+            }
+        }
+        if self.home.is_some() && !self.origin.is_empty() {
+            return Err("--home goes without --origin: both say where the work systems are".into());
+        }
+        if let Some(path) = &self.tools {
+            let text = std::fs::read_to_string(path).map_err(input::about(path))?;
+            options.tools = ToolTable::read(&text, self.tools_unit.mm())
+                .map_err(|wrong| format!("{}: {wrong}", path.display()))?;
+        }
+        Ok(options)
+    }
+}
+
+fn dialect(text: &str) -> Result<Dialect, String> {
+    Dialect::ALL
+        .into_iter()
+        .find(|dialect| dialect.name() == text)
+        .ok_or_else(|| {
+            let names = Dialect::ALL.map(Dialect::name);
+            format!("it is none of {}", names.join(", "))
+        })
+}
+
+/// Three numbers, such as `0,0,-10`.
+pub(crate) fn point(text: &str) -> Result<[f64; 3], String> {
+    let numbers: Result<Vec<f64>, _> = text
+        .split(',')
+        .map(|number| number.trim().parse())
+        .collect();
+    numbers
+        .ok()
+        .filter(|numbers| numbers.iter().all(|number| number.is_finite()))
+        .and_then(|numbers| numbers.try_into().ok())
+        .ok_or_else(|| "it is not three numbers, such as 0,0,-10".to_owned())
+}
+
+/// A work system and its origin, such as `G55=0,20,0`.
+fn origin(text: &str) -> Result<(usize, [f64; 3]), String> {
+    const NAMES: [&str; 9] = [
+        "G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3",
+    ];
+    let (name, at) = text
+        .split_once('=')
+        .ok_or("it is not a work system and its origin, such as G55=0,20,0")?;
+    let system = NAMES
+        .iter()
+        .position(|known| known.eq_ignore_ascii_case(name))
+        .ok_or_else(|| format!("{name} is none of {}", NAMES.join(", ")))?;
+    Ok((system, point(at)?))
+}
