@@ -1,4 +1,4 @@
-//! Going back: a scene's set of cubes made what it was, against a plain list of all its states.
+//! Reverting: a scene's set of cubes made what it was, against a plain list of all its states.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -222,7 +222,7 @@ async fn how_far_back_is_a_setting() {
             }
             Err(ServiceError::NotReachable { .. }) => {}
             Ok(_) => {
-                // Nothing was dropped yet: undo the going back.
+                // Nothing was dropped yet: undo the revert.
                 revert(&here, newest).await.unwrap();
             }
             Err(error) => panic!("{error}"),

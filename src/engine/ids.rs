@@ -51,9 +51,9 @@ pub(super) const PARTS: usize = 64;
 /// So far from its home a cube is looked for slot by slot: most are nearer.
 const STEPS_OF_ONE: usize = 16;
 
-/// Cubes by id.
+/// Cubes by id, in the order of the listing.
 #[derive(Debug)]
-pub(super) struct IdTable {
+pub struct IdTable {
     /// By the first bits of the mix, so that the order goes on from one to the next.
     parts: Box<[Part]>,
     len: usize,
@@ -68,19 +68,33 @@ pub(super) struct Part {
     len: usize,
 }
 
+impl Default for IdTable {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
 impl IdTable {
-    pub(super) fn new() -> Self {
+    /// A table without cubes.
+    pub fn new() -> Self {
         Self {
             parts: vec![Part::default(); PARTS].into_boxed_slice(),
             len: 0,
         }
     }
 
-    pub(super) fn len(&self) -> usize {
+    /// Number of cubes. O(1).
+    pub fn len(&self) -> usize {
         self.len
     }
 
-    pub(super) fn get(&self, id: CubeId) -> Option<Place> {
+    /// Whether there is no cube. O(1).
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// Where the cube of this id is. O(1).
+    pub fn get(&self, id: CubeId) -> Option<Place> {
         let mixed = mix(id);
         let part = &self.parts[part_of(mixed)];
         part.find(mixed).ok().map(|slot| part.slots[slot].place())
@@ -105,7 +119,7 @@ impl IdTable {
     }
 
     /// Inserts a cube; false, and nothing done, when the id is there.
-    pub(super) fn insert(&mut self, id: CubeId, place: Place) -> bool {
+    pub fn insert(&mut self, id: CubeId, place: Place) -> bool {
         let mixed = mix(id);
         let inserted = self.parts[part_of(mixed)].insert(mixed, Entry::new(id, place));
         self.len += usize::from(inserted);
@@ -146,11 +160,8 @@ impl IdTable {
         std::mem::swap(here, part);
     }
 
-    /// See `Engine::cubes_after`.
-    pub(super) fn cubes_after(
-        &self,
-        after: Option<Cursor>,
-    ) -> impl Iterator<Item = (CubeId, Place)> + '_ {
+    /// See [`Engine::cubes_after`](super::Engine::cubes_after).
+    pub fn cubes_after(&self, after: Option<Cursor>) -> impl Iterator<Item = (CubeId, Place)> + '_ {
         let (first, start) = match after {
             None => (0, 0),
             Some(Cursor(last)) => {

@@ -48,7 +48,7 @@ impl Database {
             transaction.commit()
         };
         build().map_err(site.sqlite(Seq(0)))?;
-        check_settings(&site, &connection, Seq(0))?;
+        check_settings(site, &connection, Seq(0))?;
         // Closing moves everything into the database file and syncs it.
         connection
             .close()

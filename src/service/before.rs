@@ -1,75 +1,55 @@
 //! Where cubes were before some changes: what it takes to read a set as it was then.
 //!
 //! ```text
-//!   the set now   ──── cubes that no change named ──────────────┐
-//!   before        ──── cubes that some change named, each as it was before the first of them ──┴──> the set then
+//!   the set now  ── cubes that no change named ──────────────────┬──> the set then
+//!   before       ── cubes named, each as it was before the first ─┘
 //! ```
 //! Readers see the last durable state in this way while changes are on their way, and so does a snapshot that is written while
-//! changes go on.
+//! changes go on. Both tables are the engine's own, in the order of the listing: noting a cube costs a part of what inserting it
+//! does, and looking one up takes no longer for many changes than for few.
 
-use std::ops::Bound;
+use crate::engine::{Cursor, Engine, IdTable};
+use crate::geometry::{CubeId, Place};
 
-use super::tiered::Tiered;
-use crate::engine::{Cursor, Engine};
-use crate::geometry::{CubeId, Effect, Place};
-
-/// Where a cube was, if anywhere.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(super) struct Was {
-    pub(super) id: CubeId,
-    pub(super) place: Option<Place>,
-}
-
-impl Was {
-    /// The cube, if it was somewhere.
-    pub(super) fn cube(self) -> Option<(CubeId, Place)> {
-        self.place.map(|place| (self.id, place))
-    }
-}
-
-/// A cube that a change names, with its place in the listing.
-pub(super) type Touched = (Cursor, Was);
-
-/// Where the cubes that some changes named were before the first of them.
+/// Where the cubes that some changes named were before the first of them. No cube is in both tables.
 #[derive(Debug, Default)]
-pub(super) struct Before(Tiered<Cursor, Was>);
-
-/// The cubes that an effect names and that come after `after` in the listing, in its order, as they were before it.
-pub(super) fn touched(effect: &Effect, after: Option<Cursor>) -> Vec<Touched> {
-    let Effect { deleted, inserted } = effect;
-    let was = |id, place| (Cursor::of(id), Was { id, place });
-    let touched = deleted.iter().map(|&(id, place)| was(id, Some(place)));
-    let touched = touched.chain(inserted.iter().map(|&(id, _)| was(id, None)));
-    let mut touched: Vec<Touched> = touched.filter(|(at, _)| Some(*at) > after).collect();
-    // Of a cube that moves, the deletion counts: before it the cube was somewhere.
-    touched.sort_unstable_by_key(|(at, was)| (*at, was.place.is_none()));
-    touched.dedup_by_key(|(at, _)| *at);
-    touched
+pub(super) struct Before {
+    /// Those that were somewhere.
+    there: IdTable,
+    /// Those that were nowhere; with where they were inserted first, which nobody asks for.
+    absent: IdTable,
 }
 
 impl Before {
     pub(super) fn is_empty(&self) -> bool {
-        self.0.is_empty()
+        self.there.is_empty() && self.absent.is_empty()
     }
 
-    /// Notes a cube; false, and nothing done, when an earlier change has named it.
-    pub(super) fn note(&mut self, (at, was): Touched) -> bool {
-        self.0.insert(at, was)
+    /// Notes a cube that a change deletes; false, and nothing done, when a change before has named it. A cube that moves is noted as deleted
+    /// first.
+    pub(super) fn note_deleted(&mut self, id: CubeId, place: Place) -> bool {
+        self.absent.get(id).is_none() && self.there.insert(id, place)
     }
 
-    /// What [`Self::replace`] takes to note many cubes at once, and those of them that no earlier change has named.
-    pub(super) fn merged(&self, touched: Vec<Touched>) -> (Vec<Touched>, Vec<Touched>) {
-        self.0.merged(touched)
+    /// Notes a cube that a change inserts, unless a change before has named it.
+    pub(super) fn note_inserted(&mut self, id: CubeId, place: Place) {
+        if self.there.get(id).is_none() {
+            self.absent.insert(id, place);
+        }
     }
 
-    /// Takes a list that [`Self::merged`] made, and gives back the one before, which takes time to drop.
-    pub(super) fn replace(&mut self, merged: Vec<Touched>) -> Vec<Touched> {
-        self.0.replace_many(merged)
+    /// Where a cube was.
+    pub(super) fn place(&self, engine: &Engine, id: CubeId) -> Option<Place> {
+        let there = self.there.get(id);
+        there.or_else(|| match self.absent.get(id) {
+            None => engine.get(id),
+            Some(_) => None,
+        })
     }
 
-    /// Where a cube was, when some change has named it.
-    pub(super) fn get(&self, id: CubeId) -> Option<Was> {
-        self.0.get(Cursor::of(id))
+    /// Whether a change has named a cube.
+    pub(super) fn names(&self, id: CubeId) -> bool {
+        self.there.get(id).is_some() || self.absent.get(id).is_some()
     }
 
     /// The listing of the cubes as they were, after a cursor, from the engine as it is now. None stands for a cube that was not there.
@@ -78,26 +58,23 @@ impl Before {
         engine: &'a Engine,
         after: Option<Cursor>,
     ) -> impl Iterator<Item = (Cursor, Option<(CubeId, Place)>)> + 'a {
-        let mut now = engine
-            .cubes_after(after)
-            .map(|(id, place)| (Cursor::of(id), (id, place)))
-            .peekable();
-        let mut touched = self
-            .0
-            .from(after.map_or(Bound::Unbounded, Bound::Excluded))
-            .peekable();
-        std::iter::from_fn(move || match (now.peek(), touched.peek()) {
-            (Some((here, _)), touched) if touched.is_none_or(|(at, _)| here < at) => {
-                now.next().map(|(at, cube)| (at, Some(cube)))
+        let with_cursor = |(id, place)| (Cursor::of(id), (id, place));
+        let mut now = engine.cubes_after(after).map(with_cursor).peekable();
+        let mut there = self.there.cubes_after(after).map(with_cursor).peekable();
+        std::iter::from_fn(move || {
+            let is_there = match (there.peek(), now.peek()) {
+                (Some((at, _)), Some((here, _))) => at <= here,
+                (Some(_), None) => true,
+                (None, _) => false,
+            };
+            if is_there {
+                let (at, cube) = there.next()?;
+                now.next_if(|(here, _)| *here == at);
+                return Some((at, Some(cube)));
             }
-            (here, Some((at, _))) => {
-                if here.is_some_and(|(here, _)| here == at) {
-                    now.next();
-                }
-                let (at, was) = touched.next()?;
-                Some((at, was.cube()))
-            }
-            _ => None,
+            let (here, cube) = now.next()?;
+            let was_absent = !self.absent.is_empty() && self.absent.get(cube.0).is_some();
+            Some((here, (!was_absent).then_some(cube)))
         })
     }
 }

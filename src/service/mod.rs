@@ -21,12 +21,12 @@ mod lifecycle;
 mod meters;
 mod next_id;
 mod offline;
+mod places;
 mod registry;
 mod replay;
 mod revert;
 mod scene;
 mod set;
-mod tiered;
 mod upkeep;
 mod writer;
 

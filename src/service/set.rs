@@ -9,16 +9,15 @@
 //!   reader   durable <───────────── undoes 3, 2 and 1, each as a whole: undoing what is not done does nothing
 //! ```
 
-use std::collections::{BTreeSet, HashMap};
-use std::ops::Bound;
+use std::collections::HashMap;
 
 use parking_lot::{RwLock, RwLockReadGuard, RwLockWriteGuard};
 
-use super::before::{Before, Touched, touched};
-use super::tiered::Tiered;
+use super::before::Before;
+use super::places::Places;
 use super::{Published, Seq};
 use crate::engine::{Access, Cursor, Engine, Held, Side};
-use crate::geometry::{CubeId, Edge, Effect, Place};
+use crate::geometry::{CubeId, Effect, Place};
 
 /// The cubes of a scene.
 pub(super) struct CubeSet(RwLock<State>);
@@ -37,21 +36,12 @@ struct State {
 #[derive(Default)]
 struct Ahead {
     before: Before,
-    /// Those of `before` that were somewhere, by where: for the question which cubes hold a point.
-    gone: Tiered<(Cell, CubeId), Place>,
+    /// Those that `before` knows to have been somewhere, by where.
+    places: Places,
 }
 
-/// The cell of space in which a lower corner lies. A cell is an edge and a step wide, so all cubes that hold a point have their corners in
-/// two cells an axis.
-type Cell = [i32; 3];
-
-fn cell(corner: [i32; 3], edge: Edge) -> Cell {
-    corner.map(|part| part.div_euclid(edge.steps() + 1))
-}
-
-/// Cubes of an effect that one step notes. So many cubes are noted at once instead.
+/// Cubes of an effect that one step notes.
 const NOTED_A_STEP: usize = 256;
-const NOTED_AT_ONCE_MIN: usize = if cfg!(test) { 200 } else { 4096 };
 
 /// Cubes on their way that a page passes over before it ends early.
 const PASSED_OVER_MAX: usize = if cfg!(test) { 64 } else { 4096 };
@@ -84,7 +74,7 @@ impl CubeSet {
         let applied = if Engine::applies_at_once(effect) {
             self.write(|state| {
                 state.is_whole = false;
-                state.note(&touched(effect, None));
+                state.note(&effect.deleted, &effect.inserted);
                 let applied = state.engine.apply(effect);
                 state.is_whole = true;
                 applied
@@ -110,31 +100,22 @@ impl CubeSet {
     /// Notes a large effect before it is applied, in short steps. What is noted of a cube is true as long as nothing is applied, so
     /// readers may come in between.
     fn note(&self, effect: &Effect) {
-        let touched = touched(effect, None);
-        if touched.len() < NOTED_AT_ONCE_MIN {
-            for some in touched.chunks(NOTED_A_STEP) {
-                self.write(|state| state.note(some));
-            }
-            return;
+        for some in effect.deleted.chunks(NOTED_A_STEP) {
+            self.write(|state| state.note(some, &[]));
         }
+        for some in effect.inserted.chunks(NOTED_A_STEP) {
+            self.write(|state| state.note(&[], some));
+        }
+    }
+
+    /// Reads the engine while it is at the durable state, as it is between two groups.
+    pub(super) fn look_durable<T>(&self, look: impl FnOnce(&Engine) -> T) -> T {
         let state = self.0.read();
-        let edge = state.engine.edge();
-        let (before, fresh) = state.ahead.before.merged(touched);
-        let gone = fresh.iter().filter_map(|(_, was)| was.cube());
-        let gone = gone.map(|(id, place)| ((cell(place.corner(), edge), id), place));
-        let mut gone: Vec<_> = gone.collect();
-        gone.sort_unstable_by_key(|(key, _)| *key);
-        let (gone, _) = state.ahead.gone.merged(gone);
-        drop(state);
-        let old = self.write(|state| {
-            let Ahead {
-                before: old_before,
-                gone: old_gone,
-            } = &mut state.ahead;
-            (old_before.replace(before), old_gone.replace_many(gone))
-        });
-        // While others read already.
-        drop(old);
+        assert!(
+            state.ahead.before.is_empty(),
+            "no change is on its way between two groups"
+        );
+        look(&state.engine)
     }
 
     /// Number of cubes in the engine.
@@ -167,48 +148,17 @@ impl Access for CubeSet {
 }
 
 impl State {
-    fn note(&mut self, touched: &[Touched]) {
-        let Ahead { before, gone } = &mut self.ahead;
-        for &touched in touched {
-            if before.note(touched)
-                && let Some((id, place)) = touched.1.cube()
-            {
-                gone.insert((cell(place.corner(), self.engine.edge()), id), place);
+    fn note(&mut self, deleted: &[(CubeId, Place)], inserted: &[(CubeId, Place)]) {
+        let Ahead { before, places } = &mut self.ahead;
+        for &(id, place) in deleted {
+            if before.note_deleted(id, place) {
+                places.insert(id, place, self.engine.edge());
             }
         }
+        for &(id, place) in inserted {
+            before.note_inserted(id, place);
+        }
     }
-}
-
-impl Ahead {
-    /// The cubes that were somewhere and hold a point.
-    fn gone_at(&self, point: [i32; 3], edge: Edge) -> impl Iterator<Item = (CubeId, Place)> + '_ {
-        let low = cell(point.map(|part| part.saturating_sub(edge.steps())), edge);
-        let high = cell(point, edge);
-        // Where both ends of an axis lie in one cell, each cell once.
-        let cells: BTreeSet<Cell> = (0..8_u8)
-            .map(|corner| {
-                let end = |axis: usize| if corner >> axis & 1 == 0 { low } else { high }[axis];
-                [end(0), end(1), end(2)]
-            })
-            .collect();
-        cells.into_iter().flat_map(move |one| {
-            let from = Bound::Included((one, CubeId(0)));
-            let gone = self
-                .gone
-                .from(from)
-                .take_while(move |((at, _), _)| *at == one);
-            gone.filter(move |(_, place)| holds(*place, point, edge))
-                .map(|((_, id), place)| (id, place))
-        })
-    }
-}
-
-/// Whether the closed cube at `place` holds a point, which may be anywhere.
-fn holds(place: Place, point: [i32; 3], edge: Edge) -> bool {
-    let sides = place.corner().into_iter().zip(point);
-    sides.fold(true, |holds, (low, at)| {
-        holds & (0..=i64::from(edge.steps())).contains(&(i64::from(at) - i64::from(low)))
-    })
 }
 
 impl<'a> View<'a> {
@@ -226,10 +176,7 @@ impl<'a> View<'a> {
 
     /// Where a cube is.
     pub(super) fn cube(&self, id: CubeId) -> Option<Place> {
-        match self.0.ahead.before.get(id) {
-            Some(was) => was.place,
-            None => self.0.engine.get(id),
-        }
+        self.0.ahead.before.place(&self.0.engine, id)
     }
 
     /// Up to `limit` cubes after the cursor (from the beginning without one), and the cursor to go on after when more may follow. A page
@@ -264,11 +211,11 @@ impl<'a> View<'a> {
         }
         let mut holders: HashMap<CubeId, Place> = HashMap::new();
         engine.each_at(point, |id, place| {
-            if ahead.before.get(id).is_none() {
+            if !ahead.before.names(id) {
                 holders.insert(id, place);
             }
         });
-        holders.extend(ahead.gone_at(point, engine.edge()));
+        holders.extend(ahead.places.holding(point, engine.edge()));
         let mut held = Held::new(engine.edge(), point);
         for (id, place) in holders {
             held.by(id, place);

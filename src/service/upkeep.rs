@@ -9,11 +9,11 @@
 
 use std::time::Instant;
 
-use super::before::{Before, touched};
+use super::before::Before;
 use super::next_id::NextId;
 use super::set::CubeSet;
 use super::{Published, meters};
-use crate::engine::{Access, Cursor, Engine};
+use crate::engine::{Cursor, Engine};
 use crate::geometry::{CubeId, Effect, Place};
 use crate::log::{LogError, SceneLog};
 
@@ -39,14 +39,16 @@ pub(super) struct Copying {
 impl Copying {
     /// Takes note of a change that has been made to the set.
     fn note(&mut self, effect: &Effect) {
-        // In the order of the listing, neighbours in the tree come one after the other.
-        for cube in touched(effect, self.after) {
-            self.before.note(cube);
+        let comes = |id| Some(Cursor::of(id)) > self.after;
+        for &(id, place) in effect.deleted.iter().filter(|(id, _)| comes(*id)) {
+            self.before.note_deleted(id, place);
+        }
+        for &(id, place) in effect.inserted.iter().filter(|(id, _)| comes(*id)) {
+            self.before.note_inserted(id, place);
         }
     }
 
-    /// The next cubes, at most so many; none at the end. Nothing that is not durable may be in the engine. O(cubes asked for, and cubes
-    /// on their way that were inserted since).
+    /// The next cubes, at most so many: fewer where cubes were inserted since, and none at the end. O(cubes asked for).
     fn next(&mut self, engine: &Engine, cubes_max: usize) -> Vec<(CubeId, Place)> {
         let mut cubes = Vec::new();
         for (cursor, cube) in self.before.listing(engine, self.after).take(cubes_max) {
@@ -93,7 +95,7 @@ impl Upkeep {
             Self::Rest(_) => *self = Self::Trim,
             Self::Snapshot(copying) => {
                 let before = copying.after;
-                let cubes = set.look(|engine| copying.next(engine, snapshot_step_cubes));
+                let cubes = set.look_durable(|engine| copying.next(engine, snapshot_step_cubes));
                 if copying.after == before {
                     log.snapshot_finish()?;
                     meters::snapshot_written();
