@@ -88,6 +88,14 @@ impl IdTable {
         self.len
     }
 
+    /// Removes all cubes. Keeps the room for about as many, and gives back what is more than four times that.
+    pub fn clear(&mut self) {
+        for part in &mut self.parts {
+            part.clear();
+        }
+        self.len = 0;
+    }
+
     /// Whether there is no cube. O(1).
     pub fn is_empty(&self) -> bool {
         self.len == 0
@@ -190,6 +198,15 @@ fn part_of(mixed: u64) -> usize {
 }
 
 impl Part {
+    fn clear(&mut self) {
+        if self.len * 4 < self.capacity {
+            *self = Self::default();
+        } else {
+            self.slots.fill(EMPTY);
+            self.len = 0;
+        }
+    }
+
     /// None when a cube is not there.
     fn delete_each(&mut self, cubes: &[(CubeId, Place)]) -> Option<()> {
         for (at, (id, place)) in cubes.iter().enumerate() {

@@ -21,6 +21,12 @@ pub(super) struct Before {
 }
 
 impl Before {
+    /// Forgets all, but keeps the room.
+    pub(super) fn clear(&mut self) {
+        self.there.clear();
+        self.absent.clear();
+    }
+
     pub(super) fn is_empty(&self) -> bool {
         self.there.is_empty() && self.absent.is_empty()
     }
@@ -28,12 +34,12 @@ impl Before {
     /// Notes a cube that a change deletes; false, and nothing done, when a change before has named it. A cube that moves is noted as deleted
     /// first.
     pub(super) fn note_deleted(&mut self, id: CubeId, place: Place) -> bool {
-        self.absent.get(id).is_none() && self.there.insert(id, place)
+        (self.absent.is_empty() || self.absent.get(id).is_none()) && self.there.insert(id, place)
     }
 
     /// Notes a cube that a change inserts, unless a change before has named it.
     pub(super) fn note_inserted(&mut self, id: CubeId, place: Place) {
-        if self.there.get(id).is_none() {
+        if self.there.is_empty() || self.there.get(id).is_none() {
             self.absent.insert(id, place);
         }
     }

@@ -27,6 +27,16 @@ struct Placed {
 type Cell = [i32; 3];
 
 impl Places {
+    /// Forgets all; keeps the room unless it is far more than was needed.
+    pub(super) fn clear(&mut self) {
+        if self.cubes.len() * 4 < self.cubes.capacity() {
+            *self = Self::default();
+        } else {
+            self.newest.clear();
+            self.cubes.clear();
+        }
+    }
+
     pub(super) fn insert(&mut self, id: CubeId, place: Place, edge: Edge) {
         let before = self
             .newest

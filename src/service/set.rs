@@ -11,7 +11,7 @@
 
 use std::collections::HashMap;
 
-use parking_lot::{RwLock, RwLockReadGuard, RwLockWriteGuard};
+use parking_lot::{Mutex, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
 use super::before::Before;
 use super::places::Places;
@@ -20,7 +20,12 @@ use crate::engine::{Access, Cursor, Engine, Held, Side};
 use crate::geometry::{CubeId, Effect, Place};
 
 /// The cubes of a scene.
-pub(super) struct CubeSet(RwLock<State>);
+pub(super) struct CubeSet {
+    state: RwLock<State>,
+    /// Empty, with the room that the last changes took: used in turn with the one in the state, so that a busy scene does not ask for
+    /// memory again and again.
+    spare: Mutex<Ahead>,
+}
 
 struct State {
     engine: Engine,
@@ -51,22 +56,25 @@ pub(super) struct View<'a>(RwLockReadGuard<'a, State>);
 
 impl CubeSet {
     pub(super) fn new(engine: Engine, durable: &Published) -> Self {
-        Self(RwLock::new(State {
-            engine,
-            durable: *durable,
-            ahead: Ahead::default(),
-            is_whole: true,
-        }))
+        Self {
+            state: RwLock::new(State {
+                engine,
+                durable: *durable,
+                ahead: Ahead::default(),
+                is_whole: true,
+            }),
+            spare: Mutex::default(),
+        }
     }
 
     /// The durable state, once a step that is being taken is over; none when a step has failed.
     pub(super) fn view(&self) -> Option<View<'_>> {
-        View::of(self.0.read())
+        View::of(self.state.read())
     }
 
     /// The same without waiting; none also while a step is being taken.
     pub(super) fn try_view(&self) -> Option<View<'_>> {
-        self.0.try_read().and_then(View::of)
+        self.state.try_read().and_then(View::of)
     }
 
     /// Applies an effect that was judged against the engine: the engine is ahead then.
@@ -88,13 +96,15 @@ impl CubeSet {
 
     /// What the engine is ahead of is durable now; `show` tells those who do not look here, before anybody looks here.
     pub(super) fn advance(&self, durable: &Published, show: impl FnOnce()) {
-        let done = self.write(|state| {
+        let mut spare = self.spare.lock();
+        self.write(|state| {
             state.durable = *durable;
+            std::mem::swap(&mut state.ahead, &mut spare);
             show();
-            std::mem::take(&mut state.ahead)
         });
         // While others read already.
-        drop(done);
+        spare.before.clear();
+        spare.places.clear();
     }
 
     /// Notes a large effect before it is applied, in short steps. What is noted of a cube is true as long as nothing is applied, so
@@ -110,7 +120,7 @@ impl CubeSet {
 
     /// Reads the engine while it is at the durable state, as it is between two groups.
     pub(super) fn look_durable<T>(&self, look: impl FnOnce(&Engine) -> T) -> T {
-        let state = self.0.read();
+        let state = self.state.read();
         assert!(
             state.ahead.before.is_empty(),
             "no change is on its way between two groups"
@@ -124,7 +134,7 @@ impl CubeSet {
     }
 
     fn write<T>(&self, write: impl FnOnce(&mut State) -> T) -> T {
-        let mut state = self.0.write();
+        let mut state = self.state.write();
         let result = write(&mut state);
         // To those who wait, before the next step.
         RwLockWriteGuard::unlock_fair(state);
@@ -134,7 +144,7 @@ impl CubeSet {
 
 impl Access for CubeSet {
     fn look<T>(&self, look: impl FnOnce(&Engine) -> T) -> T {
-        look(&self.0.read().engine)
+        look(&self.state.read().engine)
     }
 
     fn step<T>(&self, step: impl FnOnce(&mut Engine) -> T) -> T {
