@@ -113,7 +113,7 @@ fn on_one_line(unreadable: Unreadable) -> Problem {
 
 /// Whether a body may be read at once: a good change has at most four commas a cube, and three more. So what is read before the cubes can
 /// be counted is never much more than a change of `cubes_max`, however large the body.
-fn commas_fit(body: &[u8], cubes_max: usize) -> bool {
+pub(super) fn commas_fit(body: &[u8], cubes_max: usize) -> bool {
     let commas_max = cubes_max.saturating_mul(4).saturating_add(3);
     body.len() <= commas_max || memchr::memchr_iter(b',', body).count() <= commas_max
 }

@@ -178,6 +178,17 @@ fn ids_are_numbers_or_decimal_strings() {
     );
 }
 
+/// What bounds the memory of a body that names too many cubes sends no good change to the slow reader.
+#[test]
+fn a_good_change_is_read_at_once() {
+    let full = br#"{"insert":[{"id":1,"at":[0,0,0]},{"at":[0,0,0],"id":2}],"delete":[3],"move":4,"duration":5}"#;
+    assert!(change::commas_fit(full, 3));
+    assert!(!change::commas_fit(&b",".repeat(16), 3));
+    let body = format!("{{\"delete\":[{}]}}", vec!["1"; 100_000].join(","));
+    let refused = change(body.as_bytes(), &settings(Rounding::Nearest), 3).unwrap_err();
+    assert_eq!(refused.code(), Code::TooLarge);
+}
+
 /// Serde reads a struct from the list of its members' values, too.
 #[test]
 fn lists_are_no_objects() {
