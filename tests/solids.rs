@@ -65,10 +65,10 @@ fn delete(engine: &mut Engine, id: usize) {
 
 /// The measures of cubes in the units of those of solids.
 fn in_units(measures: &geometry::Measures) -> Measures {
-    let length = |kind| measures.edge_length_of(kind) * 2 << 20;
+    let length = |kind| (measures.edge_length_of(kind) * 2) << 20;
     Measures {
         volume6: measures.volume * 6 * 16,
-        area2: measures.area() * 2 << 16,
+        area2: (measures.area() * 2) << 16,
         // Where solids touch along an edge, each counts it.
         edge_length2: [
             length(EdgeKind::Convex),

@@ -219,7 +219,7 @@ mod tests {
                     effect.deleted.push((id, place));
                 }
                 if below(3) > 0 {
-                    let corner = [0; 3].map(|_: i64| i64::try_from(below(9)).unwrap());
+                    let corner = [0; 3].map(|_: i64| below(9));
                     let place = Place::new(corner, edge).unwrap();
                     live.insert(id, place);
                     effect.inserted.push((id, place));

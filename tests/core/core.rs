@@ -1,5 +1,9 @@
 //! The tests of the core, as one program: `tests/run` runs them with every assertion, and as a release is compiled. What comes
 //! of a script must be the same in both; a golden hash says so.
+#![allow(
+    clippy::duplicate_mod,
+    reason = "each of these is a program of its own when it is run alone"
+)]
 
 extern crate union3d_core as union3d;
 
