@@ -488,6 +488,46 @@ fn every_edge_agrees_with_a_plain_engine() {
     }
 }
 
+/// Every width of the kernel's integers in few steps, one by one and in batches, with a stock near and without: short enough for
+/// valgrind, which watches what the lanes read (`tests/memcheck`).
+#[test]
+fn short_histories_of_every_width_agree_with_a_plain_engine() {
+    for (seed, steps) in [50, 20_000, 1 << 20].into_iter().enumerate() {
+        let edge = Edge::new(steps).unwrap();
+        for stock in [None, Stock::new([-steps; 3], [steps / 2; 3]).ok()] {
+            let mut random = Random::new(8_000_000 + seed as u64);
+            let mut cubes = |ids: std::ops::Range<u64>| -> Vec<(CubeId, Place)> {
+                ids.map(|id| {
+                    let corner = [0; 3].map(|_: i32| random.within(-steps, steps));
+                    (CubeId(id), Place::new(corner, edge).unwrap())
+                })
+                .collect()
+            };
+            let (single, batch) = (cubes(0..50), cubes(50..90));
+            let mut changes: Vec<Effect> = single.chunks(1).map(inserting).collect();
+            changes.push(Effect {
+                deleted: single[..40].to_vec(),
+                inserted: batch.clone(),
+            });
+            changes.extend(batch.chunks(1).map(|cube| Effect {
+                deleted: cube.to_vec(),
+                inserted: vec![],
+            }));
+            let mut fast = Engine::new(edge).with_stock(stock);
+            let mut plain = Engine::plain(edge).with_stock(stock);
+            for (number, change) in changes.iter().enumerate() {
+                fast.apply(change).unwrap();
+                plain.apply(change).unwrap();
+                assert_eq!(
+                    fast.totals(),
+                    plain.totals(),
+                    "edge {steps}, stock {stock:?}, change {number}"
+                );
+            }
+        }
+    }
+}
+
 /// Small voxel worlds with so many cubes that leaves are reached by division, not only at once.
 #[test]
 fn many_cubes_in_a_small_world_agree_with_voxels() {

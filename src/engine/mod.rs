@@ -376,9 +376,12 @@ impl Engine {
     /// Prefetches where the search for a cube and those around it begins.
     #[inline]
     fn prefetch_around(&self, place: Place) {
-        self.exposed.prefetch_around(place);
         if self.covered.len() > 0 {
             self.covered.prefetch_levels(place);
+        }
+        // Where covered cells are kept, most changes end there and look at no exposed cube.
+        if !self.covered_cells.are_kept() {
+            self.exposed.prefetch_around(place);
         }
     }
 

@@ -60,8 +60,11 @@ impl Span {
     /// Volume of the common part of two boxes.
     pub(in crate::engine) fn overlap(&self, other: &Self) -> u128 {
         let common = self.clamped(other);
+        if !common.is_solid() {
+            return 0;
+        }
         (0..3)
-            .map(|axis| u128::try_from(common.max[axis] - common.min[axis]).unwrap_or(0))
+            .map(|axis| u128::from(common.max[axis].abs_diff(common.min[axis])))
             .product()
     }
 
