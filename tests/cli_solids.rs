@@ -131,7 +131,7 @@ fn lines_that_are_wrong_say_where() {
     let refused = |lines: &str, words: &str| {
         check_refused(&["-", "--kind", "solids"], lines, words);
     };
-    refused("{}", "line 1:  is neither a shape with at");
+    refused("{}", "line 1: it is neither a shape with at");
     refused("\n\n{\"id\":1", "line 3: EOF while parsing");
     refused("0,0,0", "line 1: trailing characters");
     refused(

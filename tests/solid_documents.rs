@@ -281,18 +281,21 @@ fn solids_are_shapes_at_a_place_or_carried_or_hulls() {
     }
     let neither = "neither a shape with at, nor a shape with from and to, nor a hull";
     for (document, message) in [
-        (json!({"id": 1}), format!(" is {neither}")),
-        (json!({"shape": "b"}), format!(" is {neither}")),
+        (json!({"id": 1}), format!("it is {neither}")),
+        (json!({"shape": "b"}), format!("it is {neither}")),
         (
             json!({"shape": "b", "from": [0, 0, 0]}),
-            format!(" is {neither}"),
+            format!("it is {neither}"),
         ),
-        (json!({"at": [0, 0, 0]}), format!(" is {neither}")),
+        (json!({"at": [0, 0, 0]}), format!("it is {neither}")),
         (
             json!({"shape": "b", "at": [0, 0, 0], "to": [0, 0, 0]}),
-            format!(" is {neither}"),
+            format!("it is {neither}"),
         ),
-        (json!({"shape": "b", "hull": []}), format!(" is {neither}")),
+        (
+            json!({"shape": "b", "hull": []}),
+            format!("it is {neither}"),
+        ),
         (
             json!({"shape": "c", "at": [0, 0, 0]}),
             "/shape = \"c\": there is no such shape".to_owned(),
@@ -508,8 +511,8 @@ fn inertia_is_as_far_off_as_it_says_wherever_the_part_is() {
     let alone = properties(&part[..1]);
     let mass = 12.0;
     let expected = [mass * 13.0 / 12.0, mass * 10.0 / 12.0, mass * 5.0 / 12.0];
-    for axis in 0..3 {
-        assert!((alone.inertia[axis][axis] / expected[axis] - 1.0).abs() < 1e-12);
+    for (axis, expected) in expected.into_iter().enumerate() {
+        assert!((alone.inertia[axis][axis] / expected - 1.0).abs() < 1e-12);
     }
     for far in [
         [3000.0, 0.0, 0.0],
@@ -519,9 +522,9 @@ fn inertia_is_as_far_off_as_it_says_wherever_the_part_is() {
         let moved = part
             .map(|corners| corners.map(|corner| [0, 1, 2].map(|axis| corner[axis] + far[axis])));
         let far_away = properties(&moved);
-        for axis in 0..3 {
+        for (axis, away) in far.into_iter().enumerate() {
             let [here, there] = [&near, &far_away].map(|shown| shown.centroid.unwrap()[axis]);
-            assert!((there - far[axis] - here).abs() <= far_away.error_max.centroid + 1e-9);
+            assert!((there - away - here).abs() <= far_away.error_max.centroid + 1e-9);
             for other in 0..3 {
                 let [here, there] = [&near, &far_away].map(|shown| shown.inertia[axis][other]);
                 assert!((there - here).abs() <= far_away.error_max.inertia + 1e-9 * here.abs());

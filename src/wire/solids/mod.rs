@@ -26,7 +26,7 @@ pub use self::stl::{InvalidStl, stl_body};
 
 /// What is wrong with a document, and where.
 #[derive(Clone, PartialEq, Eq, Debug, thiserror::Error)]
-#[error("{pointer} {what}")]
+#[error("{} {what}", if pointer.is_empty() { "it" } else { pointer })]
 pub struct SolidFault {
     /// Where: a JSON pointer, from the document's root.
     pub pointer: String,
