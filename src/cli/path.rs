@@ -138,7 +138,7 @@ pub(crate) fn seconds(next: &Move, rapid_rate: f64) -> Option<f64> {
 
 /// Where rows go.
 enum Rows<W: Write> {
-    Csv(csv::Writer<W>),
+    Csv(Box<csv::Writer<W>>),
     Ndjson(W),
 }
 
@@ -178,7 +178,7 @@ pub(crate) fn run(args: Args) -> Outcome {
                 .has_headers(false)
                 .from_writer(output);
             csv.write_record(HEADER)?;
-            Rows::Csv(csv)
+            Rows::Csv(Box::new(csv))
         }
         Format::Ndjson => Rows::Ndjson(output),
     };

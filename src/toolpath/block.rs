@@ -318,7 +318,7 @@ impl<'line> Reader<'line> {
         if self.peek() != 0 && self.peek() != b';' {
             return self.fail("nothing may follow a checksum");
         }
-        if said == f64::from(sum) {
+        if said.to_bits() == f64::from(sum).to_bits() {
             return Ok(());
         }
         self.fail_at(

@@ -36,7 +36,7 @@ pub struct Warning {
 
 /// A line that cannot be run. The program ends there.
 #[derive(Clone, PartialEq, Eq, Debug, thiserror::Error)]
-#[error("{}line {line}, column {column}: {what}: {text:?}", named(.file))]
+#[error("{}line {line}, column {column}: {what}: {text:?}", named(.file.as_deref()))]
 pub struct Fault {
     /// The file it stands in, when that is not the program itself.
     pub file: Option<String>,
@@ -50,7 +50,6 @@ pub struct Fault {
     pub what: String,
 }
 
-fn named(file: &Option<String>) -> String {
-    file.as_ref()
-        .map_or_else(String::new, |file| format!("{file}, "))
+fn named(file: Option<&str>) -> String {
+    file.map_or_else(String::new, |file| format!("{file}, "))
 }

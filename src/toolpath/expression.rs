@@ -393,9 +393,8 @@ impl Operator {
             }
             Self::Power => left.powf(right),
             Self::Times => left * right,
-            Self::Over if right == 0.0 => return Err("a division by zero"),
+            Self::Over | Self::Modulo if right == 0.0 => return Err("a division by zero"),
             Self::Over => left / right,
-            Self::Modulo if right == 0.0 => return Err("a division by zero"),
             Self::Modulo => {
                 let rest = left % right;
                 if rest < 0.0 { rest + right.abs() } else { rest }

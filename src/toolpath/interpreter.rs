@@ -122,7 +122,7 @@ enum Callee {
     /// By an O-word.
     Sub {
         label: Label,
-        kept: Kept,
+        kept: Box<Kept>,
     },
     /// By M98 or M97: where it begins and how often it is still to be run.
     Program {
@@ -503,7 +503,7 @@ impl Interpreter {
             reader.take(b'N')
                 && reader
                     .literal()
-                    .is_ok_and(|(found, _)| found == number_of(number))
+                    .is_ok_and(|(found, _)| found.to_bits() == number_of(number).to_bits())
         };
         let Some(line) = text.lines().position(numbered) else {
             return Err(self.fault(at, 0, format!("there is no line N{number}")));
@@ -617,14 +617,14 @@ impl Interpreter {
             // A return may have any label, such as that of the branch it stands in.
             Keyword::Return => return self.return_from_sub(at, None, &mut reader),
             Keyword::EndSub => return self.return_from_sub(at, Some(&label), &mut reader),
-            Keyword::If | Keyword::ElseIf if keyword == Keyword::If => {
+            Keyword::If => {
                 if self.bracket(&mut reader, at)? == 0.0 {
                     self.next_branch(at, &label)?;
                 }
             }
             // A branch was run: the others are not.
             Keyword::ElseIf | Keyword::Else => self.jump_behind(at, &label, &[Keyword::EndIf])?,
-            Keyword::EndIf | Keyword::If => {}
+            Keyword::EndIf => {}
             Keyword::While => self.while_(at, &label, &mut reader)?,
             Keyword::EndWhile => {
                 let open = self.innermost(at, &label, "endwhile")?;
@@ -635,71 +635,68 @@ impl Interpreter {
                 line: at.line,
                 kind: LoopKind::Do,
             }),
-            Keyword::Repeat => {
-                let rounds = self.bracket(&mut reader, at)?.round();
-                if rounds < 1.0 {
-                    self.jump_behind(at, &label, &[Keyword::EndRepeat])?;
-                } else {
-                    #[expect(
-                        clippy::cast_possible_truncation,
-                        clippy::cast_sign_loss,
-                        reason = "floats saturate, and so many rounds never end"
-                    )]
-                    let kind = LoopKind::Repeat(rounds as u64);
-                    self.frame().loops.push(Loop {
-                        label,
-                        line: at.line,
-                        kind,
-                    });
-                }
-            }
-            Keyword::EndRepeat => {
-                let open = self.innermost(at, &label, "endrepeat")?;
-                match open.kind {
-                    LoopKind::Repeat(left @ 2..) => {
-                        if let Some(open) = self.frame().loops.last_mut() {
-                            open.kind = LoopKind::Repeat(left - 1);
-                        }
-                        self.at.line = open.line + 1;
-                    }
-                    _ => {
-                        self.frame().loops.pop();
-                    }
-                }
-            }
+            Keyword::Repeat => self.repeat(at, label, &mut reader)?,
+            Keyword::EndRepeat => self.end_repeat(at, &label)?,
             Keyword::Break => {
                 let open = self.loop_of(at, &label, "break")?;
                 self.frame().loops.pop();
-                let end = end_of(open.kind);
-                self.jump_behind(
-                    Position {
-                        line: open.line,
-                        ..at
-                    },
-                    &label,
-                    &[end],
-                )?;
+                self.at.line = self.line_of_end(at, &open)? + 1;
             }
             Keyword::Continue => {
                 let open = self.loop_of(at, &label, "continue")?;
-                match open.kind {
-                    LoopKind::While => self.at.line = open.line,
-                    kind => {
-                        let end = end_of(kind);
-                        self.jump_behind(
-                            Position {
-                                line: open.line,
-                                ..at
-                            },
-                            &label,
-                            &[end],
-                        )?;
-                        self.at.line -= 1;
-                    }
-                }
+                self.at.line = match open.kind {
+                    LoopKind::While => open.line,
+                    _ => self.line_of_end(at, &open)?,
+                };
             }
         }
         self.rest(&mut reader, at)
+    }
+
+    fn repeat(&mut self, at: Position, label: Label, reader: &mut Reader<'_>) -> Result<(), Fault> {
+        let rounds = self.bracket(reader, at)?.round();
+        if rounds < 1.0 {
+            return self.jump_behind(at, &label, &[Keyword::EndRepeat]);
+        }
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "floats saturate, and so many rounds never end"
+        )]
+        let kind = LoopKind::Repeat(rounds as u64);
+        self.frame().loops.push(Loop {
+            label,
+            line: at.line,
+            kind,
+        });
+        Ok(())
+    }
+
+    fn end_repeat(&mut self, at: Position, label: &Label) -> Result<(), Fault> {
+        let open = self.innermost(at, label, "endrepeat")?;
+        let loops = &mut self.frame().loops;
+        match (open.kind, loops.last_mut()) {
+            (LoopKind::Repeat(left @ 2..), Some(last)) => {
+                last.kind = LoopKind::Repeat(left - 1);
+                self.at.line = open.line + 1;
+            }
+            _ => {
+                loops.pop();
+            }
+        }
+        Ok(())
+    }
+
+    /// The line where a loop ends.
+    fn line_of_end(&self, at: Position, open: &Loop) -> Result<usize, Fault> {
+        let end = match open.kind {
+            LoopKind::While => Keyword::EndWhile,
+            LoopKind::Do => Keyword::While,
+            LoopKind::Repeat(_) => Keyword::EndRepeat,
+        };
+        let line = open.line;
+        let begin = Position { line, ..at };
+        Ok(self.next_control(begin, &open.label, &[end])?.line)
     }
 
     /// Nothing but a comment may follow.
@@ -710,9 +707,8 @@ impl Interpreter {
                 .map_err(|wrong| self.unreadable(at, wrong))?;
         }
         match reader.peek() {
-            0 | b';' => Ok(()),
-            // Conditions of branches that are not looked at.
-            b'[' => Ok(()),
+            // A bracket is the condition of a branch that is not looked at.
+            0 | b';' | b'[' => Ok(()),
             _ => Err(self.fault(at, reader.at, "nothing may follow an o-word but its values")),
         }
     }
@@ -886,7 +882,7 @@ impl Interpreter {
         let kept = self.parameters.enter(&arguments);
         let callee = Callee::Sub {
             label: label.clone(),
-            kept,
+            kept: Box::new(kept),
         };
         self.enter(at, callee, start)
     }
@@ -975,14 +971,6 @@ impl Source {
             .iter()
             .find(|control| control.keyword == Keyword::Sub && control.label == *label)
             .map(|control| control.line)
-    }
-}
-
-fn end_of(kind: LoopKind) -> Keyword {
-    match kind {
-        LoopKind::While => Keyword::EndWhile,
-        LoopKind::Do => Keyword::While,
-        LoopKind::Repeat(_) => Keyword::EndRepeat,
     }
 }
 

@@ -151,6 +151,7 @@ impl Move {
     }
 
     /// The end of it alone, without a length.
+    #[must_use]
     pub fn end_only(&self) -> Self {
         Self {
             start: self.end,
@@ -162,10 +163,8 @@ impl Move {
 
     /// The same move seen from a frame whose origin is at `origin`.
     pub(super) fn seen_from(mut self, origin: [f64; 3]) -> Self {
-        for axis in 0..3 {
-            self.start[axis] -= origin[axis];
-            self.end[axis] -= origin[axis];
-        }
+        self.start = [0, 1, 2].map(|axis| self.start[axis] - origin[axis]);
+        self.end = [0, 1, 2].map(|axis| self.end[axis] - origin[axis]);
         if let Some(arc) = &mut self.arc {
             for (centre, axis) in arc.centre.iter_mut().zip(arc.plane.axes()) {
                 *centre -= origin[axis];

@@ -41,6 +41,7 @@ const LINES_MAX: usize = 10;
 const WARNINGS_MAX: u64 = 10;
 
 /// Turn G-code into the cubes that a cubic cutter sweeps, and measure their union
+#[expect(clippy::struct_excessive_bools, reason = "each is a switch of its own")]
 #[derive(Debug, clap::Args)]
 #[command(
     long_about = "Reads G-code, moves a cubic cutter along it, and measures the union of all cubes it covers: what it removes.
@@ -196,15 +197,8 @@ async fn mill(args: Args, settings: &Settings, (mut program, size): (Interpreter
         let Some(swept) = next.filter(|_| cuts).and_then(|next| swept(&next)) else {
             continue;
         };
-        if kind == Kind::Feed
-            && *cutting_tool.get_or_insert(swept.tool) != swept.tool
-            && !args.one_cutter
-        {
-            return Err(format!(
-                "line {line}: tool {} cuts here, but --edge is one cutter for all tools; --one-cutter takes it for each of them",
-                swept.tool
-            )
-            .into());
+        if kind == Kind::Feed && !args.one_cutter {
+            check_tool(&mut cutting_tool, &swept)?;
         }
         for place in cutter.places(&swept) {
             let place = place?;
@@ -225,15 +219,7 @@ async fn mill(args: Args, settings: &Settings, (mut program, size): (Interpreter
     let (cuts, mass_properties) = target.finish(settings).await?;
     settle(&mut tally, &args, cuts)?;
     if count.feeds == 0 {
-        let nothing = Warning {
-            line: 0,
-            code: "no-feed-moves".into(),
-            text: "in the whole program: nothing is cut".into(),
-        };
-        if args.program.is_strict() {
-            return Err(format!("{} {}", nothing.code, nothing.text).into());
-        }
-        warnings.take(nothing, &bar);
+        warnings.take(nothing_cut(&args)?, &bar);
     }
     let cutting = tally.finish(&warnings.all).map_err(about_csv(&args))?;
     let seconds = started.elapsed().as_secs_f64();
@@ -255,6 +241,30 @@ async fn mill(args: Args, settings: &Settings, (mut program, size): (Interpreter
     } else {
         ExitCode::SUCCESS
     })
+}
+
+/// One --edge is one cutter: another tool must not cut.
+fn check_tool(first: &mut Option<u32>, swept: &Move) -> Result<(), String> {
+    if *first.get_or_insert(swept.tool) == swept.tool {
+        return Ok(());
+    }
+    Err(format!(
+        "line {}: tool {} cuts here, but --edge is one cutter for all tools; --one-cutter takes it for each of them",
+        swept.line, swept.tool
+    ))
+}
+
+/// An empty program looks like a perfect one, so it is said.
+fn nothing_cut(args: &Args) -> Result<Warning, String> {
+    let nothing = Warning {
+        line: 0,
+        code: "no-feed-moves".into(),
+        text: "in the whole program: nothing is cut".into(),
+    };
+    if args.program.is_strict() {
+        return Err(format!("{} {}", nothing.code, nothing.text));
+    }
+    Ok(nothing)
 }
 
 /// What has come by.
