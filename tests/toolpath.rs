@@ -5,7 +5,6 @@
 
 use std::f64::consts::{PI, SQRT_2, TAU};
 use std::fmt::Write;
-use std::path::PathBuf;
 
 use proptest::prelude::*;
 use union3d::toolpath::{
@@ -1221,61 +1220,5 @@ proptest! {
             }).inspect(|chord| assert!(*chord <= step * (1.0 + 1e-9))).sum();
             prop_assert!(chords <= arc.length + 1e-9 && chords > arc.length * 0.6);
         }
-    }
-}
-
-/// The directory of real programs, if there is one.
-fn real(file: &str) -> Option<PathBuf> {
-    let directory = std::env::var_os("UNION3D_GCODE_DIR").map_or_else(
-        || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/data/gcode"),
-        PathBuf::from,
-    );
-    let path = directory.join(file);
-    path.exists().then_some(path)
-}
-
-/// Moves, millimetres of G1, G2 and G3, and warnings of a real program.
-fn survey(file: &str) -> Option<(usize, f64, Vec<String>)> {
-    let source = std::fs::read(real(file)?).unwrap();
-    let (mut count, mut cutting, mut warnings) = (0, 0.0, vec![]);
-    for event in interpret(source) {
-        match event.unwrap() {
-            Event::Move(next) => {
-                count += 1;
-                cutting += if next.motion == Motion::Rapid {
-                    0.0
-                } else {
-                    next.length
-                };
-            }
-            Event::Warning(warning) => warnings.push(warning.to_string()),
-            Event::Dwell { .. } => {}
-        }
-    }
-    Some((count, cutting, warnings))
-}
-
-#[test]
-fn real_programs_are_read() {
-    if let Some((moves, cutting, warnings)) = survey("tball-pocket.gcode") {
-        assert_eq!((moves, warnings), (40_266, vec![]));
-        assert!((cutting - 8_925.0).abs() < 1.0, "{cutting}");
-    }
-    if let Some((moves, _, warnings)) = survey("jsdc.gcode") {
-        assert_eq!((moves, warnings), (2_382, vec![]));
-    }
-    if let Some((_, _, warnings)) = survey("Circle_Diamond_Square_Calibration.gcode") {
-        assert_eq!(warnings.len(), 5, "{warnings:?}");
-        assert!(
-            warnings
-                .iter()
-                .all(|warning| warning.contains("uneven-arc"))
-        );
-        assert!(warnings[0].starts_with("line 624: "));
-    }
-    if let Some((moves, _, warnings)) = survey("helical-thread-milling.gcode") {
-        assert_eq!(moves, 12);
-        assert_eq!(warnings.len(), 1, "{warnings:?}");
-        assert!(warnings[0].starts_with("line 5: G42 ignored"));
     }
 }

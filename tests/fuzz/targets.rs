@@ -9,10 +9,10 @@ use union3d::wire::decode;
 use union3d::wire::problem::{Code, Problem};
 
 /// A reader under test: asserts that all is well with some bytes.
-pub type Target = fn(&[u8]);
+pub(crate) type Target = fn(&[u8]);
 
 /// All of them, by name: that of their corpus too.
-pub const TARGETS: [(&str, Target); 4] = [
+pub(crate) const TARGETS: [(&str, Target); 4] = [
     ("decode", decode_body),
     ("codec", fuzzing::codec),
     ("wal", fuzzing::wal),

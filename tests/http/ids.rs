@@ -85,7 +85,7 @@ async fn ids_are_answered_as_text_when_asked() {
             .get(&path(&format!("{call}{and}ids=text")))
             .await
             .ok();
-        assert_eq!(ids(&shown), [text.clone()], "{call}");
+        assert_eq!(ids(&shown), std::slice::from_ref(&text), "{call}");
     }
     let request = server.request("GET", &path("cubes?ids=text"));
     let lines = send(request.header("accept", NDJSON)).await.text;

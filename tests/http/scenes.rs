@@ -97,7 +97,7 @@ async fn settings_are_read_once_a_scene() {
     for _ in 0..3 {
         let made = scene.settings_as(|text| {
             readings += 1;
-            (readings > 1).then(|| text.len())
+            (readings > 1).then_some(text.len())
         });
         assert_eq!(made.as_deref(), (readings > 1).then_some(&4));
     }

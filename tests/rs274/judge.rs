@@ -138,8 +138,8 @@ impl Canon {
             "SET_XY_ROTATION" => self.degrees = numbers[0],
             "USE_TOOL_LENGTH_OFFSET" => {
                 let length = three(0);
-                for axis in 0..3 {
-                    self.last[axis] += self.length[axis] - length[axis];
+                for (axis, last) in self.last.iter_mut().enumerate() {
+                    *last += self.length[axis] - length[axis];
                 }
                 self.length = length;
             }
