@@ -16,7 +16,8 @@ use std::sync::Arc;
 use ethnum::I256;
 use random::Random;
 use union3d::engine::solids::{
-    Body, Effect, Engine, Measures, Shape, SolidId, Totals, recount, recount_exactly,
+    Body, Effect, Engine, ErrorMax, InvalidStock, Measures, Shape, SolidId, Stock, Totals, recount,
+    recount_exactly,
 };
 use union3d::geometry::convex::{Point, Solid};
 use union3d::geometry::{self, Bounds, EdgeKind};
@@ -90,6 +91,11 @@ fn in_units(measures: &geometry::Measures) -> Measures {
     }
 }
 
+/// Whether a box holds a voxel.
+fn holds(bounds: &Bounds, voxel: [i32; 3]) -> bool {
+    (0..3).all(|axis| (bounds.min[axis]..bounds.max[axis]).contains(&voxel[axis]))
+}
+
 /// The measures of a union of boxes, voxel by voxel.
 fn measures_of_boxes(boxes: &[Bounds]) -> Measures {
     let around = boxes.iter().copied().reduce(|one, other| Bounds {
@@ -99,12 +105,7 @@ fn measures_of_boxes(boxes: &[Bounds]) -> Measures {
     let Some(around) = around else {
         return Measures::default();
     };
-    let is_filled = |voxel: [i32; 3]| {
-        let holds = |bounds: &Bounds| {
-            (0..3).all(|axis| (bounds.min[axis]..bounds.max[axis]).contains(&voxel[axis]))
-        };
-        boxes.iter().any(holds)
-    };
+    let is_filled = |voxel| boxes.iter().any(|bounds| holds(bounds, voxel));
     in_units(&voxels::measures(around, &is_filled))
 }
 
@@ -166,12 +167,203 @@ fn boxes_equal_voxels_to_the_integer() {
     }
 }
 
+/// What boxes remove from a box, and what remains of it, voxel by voxel.
+fn measures_of_stock(stock: &Bounds, boxes: &[Bounds]) -> [Measures; 2] {
+    let is_cut = |voxel| boxes.iter().any(|bounds| holds(bounds, voxel));
+    let removed = voxels::measures(*stock, &|voxel| holds(stock, voxel) && is_cut(voxel));
+    let remaining = voxels::measures(*stock, &|voxel| holds(stock, voxel) && !is_cut(voxel));
+    [removed, remaining].map(|measures| in_units(&measures))
+}
+
+fn stock_of_box(bounds: &Bounds) -> Stock {
+    let [min, max] = [bounds.min, bounds.max].map(|corner| point(corner.map(i64::from)));
+    Stock::new(Solid::cuboid(min, max).unwrap()).unwrap()
+}
+
+#[test]
+fn boxes_in_a_stock_equal_voxels_to_the_integer() {
+    for seed in 0..rounds(10_000) {
+        let mut random = Random::new(seed);
+        let side = 4 + below(&mut random, 6);
+        let stock = random_box(&mut random, side);
+        let count = 1 + below(&mut random, 7);
+        let mut boxes: Vec<Bounds> = (0..count).map(|_| random_box(&mut random, side)).collect();
+        match below(&mut random, 6) {
+            0 => boxes.push(stock),
+            1 => boxes.push(boxes[0]),
+            _ => {}
+        }
+        let engine = if seed % 8 == 7 {
+            Engine::exact()
+        } else {
+            Engine::new()
+        };
+        let mut engine = engine.with_stock(Some(stock_of_box(&stock)));
+        let [_, whole] = measures_of_stock(&stock, &[]);
+        let mut there: Vec<usize> = (0..boxes.len()).collect();
+        let check = |engine: &Engine, there: &[usize]| {
+            let there: Vec<Bounds> = there.iter().map(|id| boxes[*id]).collect();
+            let [removed, remaining] = measures_of_stock(&stock, &there);
+            let totals = engine.totals();
+            let context = format!("seed {seed}: {there:?} in {stock:?}");
+            assert_eq!(totals.measures, removed, "{context}");
+            assert_eq!(totals.remaining, Some(remaining), "{context}");
+        };
+        shuffle(&mut random, &mut there);
+        for number in 0..there.len() {
+            insert(
+                &mut engine,
+                there[number],
+                &body_of_box(&boxes[there[number]]),
+            );
+            check(&engine, &there[..=number]);
+        }
+        shuffle(&mut random, &mut there);
+        while let Some(id) = there.pop() {
+            delete(&mut engine, id);
+            check(&engine, &there);
+        }
+        let nothing = Totals {
+            remaining: Some(whole),
+            ..Totals::default()
+        };
+        assert_eq!(engine.totals(), nothing, "seed {seed}");
+    }
+}
+
+/// Cubes as solids, and as cubes, cut from the same stock.
+#[test]
+fn both_kinds_of_scenes_say_the_same_of_cubes_in_a_stock() {
+    for seed in 0..rounds(2_000) {
+        let mut random = Random::new(seed);
+        let edge = 1 + below(&mut random, 4);
+        let stock = random_box(&mut random, 10);
+        let corners = [stock.min, stock.max].map(|corner| corner.map(i64::from));
+        let of_cubes = geometry::Stock::new(corners[0], corners[1]).unwrap();
+        let edge_of_cubes = geometry::Edge::new(edge).unwrap();
+        let mut cubes = union3d::engine::Engine::new(edge_of_cubes).with_stock(Some(of_cubes));
+        let mut solids = Engine::new().with_stock(Some(stock_of_box(&stock)));
+        for id in 0..12 {
+            let corner = [0; 3].map(|_: i64| below(&mut random, 12) - 2);
+            let place = geometry::Place::new(corner, edge_of_cubes).unwrap();
+            let effect = geometry::Effect {
+                deleted: Vec::new(),
+                inserted: vec![(geometry::CubeId(id), place)],
+            };
+            cubes.apply(&effect).unwrap();
+            let far = corner.map(|coordinate| coordinate + edge);
+            let body = Body::cuboid(point(corner), point(far)).unwrap();
+            insert(&mut solids, usize::try_from(id).unwrap(), &body);
+            let totals = solids.totals();
+            let of_cubes = cubes.totals().stock.unwrap();
+            assert_eq!(totals.measures, in_units(&of_cubes.removed), "seed {seed}");
+            let remaining = Some(in_units(&of_cubes.remaining));
+            assert_eq!(totals.remaining, remaining, "seed {seed}");
+            assert_eq!(totals.bounds, cubes.totals().bounds, "seed {seed}");
+        }
+    }
+}
+
+/// A half-space as far as a small world goes: a tetrahedron on one side of the plane through three points.
+fn half_space(points: [[i64; 3]; 3], side: i64) -> Option<Solid> {
+    let [a, b, c] = points;
+    let from_a = |at: [i64; 3]| [0, 1, 2].map(|axis: usize| at[axis] - a[axis]);
+    let (u, v) = (from_a(b), from_a(c));
+    let normal = [(1, 2), (2, 0), (0, 1)].map(|(i, j): (usize, usize)| u[i] * v[j] - u[j] * v[i]);
+    let at = |along_u: i64, along_v: i64, along_normal: i64| {
+        [0, 1, 2].map(|axis: usize| {
+            a[axis] + along_u * u[axis] + along_v * v[axis] + along_normal * normal[axis]
+        })
+    };
+    hull(&[
+        at(2_000, 0, 0),
+        at(0, 2_000, 0),
+        at(-2_000, -2_000, 0),
+        at(0, 0, 1_000 * side),
+    ])
+}
+
+/// A plane divides the stock: what is removed on one side is what remains when the other is removed.
+#[test]
+fn what_remains_is_what_the_other_side_would_remove() {
+    let mut divided = 0;
+    for seed in 0..rounds(4_000) {
+        let mut random = Random::new(seed);
+        let points = 4 + below(&mut random, 8);
+        let stock = Stock::new(random_hull(&mut random, points, 6, 2)).unwrap();
+        let plane = [0; 3].map(|_: i64| [0; 3].map(|_: i64| below(&mut random, 9)));
+        let (Some(one), Some(other)) = (half_space(plane, 1), half_space(plane, -1)) else {
+            continue;
+        };
+        let totals = |solid: Solid| {
+            let mut engine = Engine::new().with_stock(Some(stock.clone()));
+            insert(&mut engine, 1, &Body::solid(solid));
+            (engine.totals(), engine.error_max())
+        };
+        let ((one, error), (other, _)) = (totals(one), totals(other));
+        let remaining = one.remaining.unwrap();
+        assert_eq!(remaining.area2, other.measures.area2, "seed {seed}");
+        assert_eq!(
+            remaining.edge_length2, other.measures.edge_length2,
+            "seed {seed}"
+        );
+        assert_eq!(
+            other.remaining.unwrap().area2,
+            one.measures.area2,
+            "seed {seed}"
+        );
+        // The other side's volume is rounded of its own flags.
+        let difference = remaining.volume6.abs_diff(other.measures.volume6);
+        assert!(difference <= 2 * error.volume6, "seed {seed}: {difference}");
+        divided += u64::from(one.measures.volume6 != 0 && remaining.volume6 != 0);
+    }
+    assert!(
+        divided > rounds(4_000) / 2,
+        "{divided} of them divide the stock"
+    );
+}
+
+/// The claim of the engine's documentation, in a stock; and its parts add up to it.
+#[test]
+fn totals_in_a_stock_are_a_function_of_the_set_alone() {
+    for number in 0..FAMILIES {
+        for seed in 0..rounds(60) {
+            let mut random = Random::new(seed * 100 + number as u64 + 1_000_000);
+            let bodies = family(number, &mut random);
+            // Of the size and in the place of one of the bodies, so that it cuts them anyhow.
+            let body = &bodies[usize::try_from(below(&mut random, 2)).unwrap()];
+            let solid = if below(&mut random, 2) == 0 {
+                body.part(0)
+            } else {
+                let Bounds { min, max } = body.bounds();
+                let [min, max] = [min, max].map(|corner| point(corner.map(i64::from)));
+                Solid::cuboid(min, max).unwrap()
+            };
+            let stock = Stock::new(solid).unwrap();
+            let context = format!("family {number}, seed {seed}, in a stock");
+            check_history(&mut random, Some(&stock), &bodies, &context);
+        }
+    }
+}
+
+#[test]
+fn a_stock_with_too_many_vertices_is_refused() {
+    // The points of a paraboloid are the vertices of their hull.
+    let side = 0..33_i64;
+    let points = side
+        .clone()
+        .flat_map(|x| side.clone().map(move |y| [x, y, x * x + y * y]));
+    let solid = hull(&points.collect::<Vec<_>>()).unwrap();
+    assert_eq!(Stock::new(solid).unwrap_err(), InvalidStock { count: 1089 });
+}
+
 /// Inserts bodies in several orders, deletes half and all of them, and compares with recounts.
-fn check_history(random: &mut Random, bodies: &[Body], context: &str) {
+fn check_history(random: &mut Random, stock: Option<&Stock>, bodies: &[Body], context: &str) {
+    let nothing = Engine::new().with_stock(stock.cloned()).totals();
     let mut order: Vec<usize> = (0..bodies.len()).collect();
     let mut whole = None;
     for repetition in 0..3 {
-        let mut engine = Engine::new();
+        let mut engine = Engine::new().with_stock(stock.cloned());
         for (id, &index) in order.iter().enumerate() {
             // Ids by body or by order: which of two equal ones counts must not matter.
             insert(
@@ -181,6 +373,15 @@ fn check_history(random: &mut Random, bodies: &[Body], context: &str) {
             );
         }
         let totals = engine.totals();
+        if let Some(remaining) = totals.remaining {
+            let mut sum = remaining;
+            sum.add(&totals.measures);
+            let whole = nothing.remaining.unwrap();
+            assert_eq!(sum.volume6, whole.volume6, "{context}");
+            assert_eq!(sum.first_moments24, whole.first_moments24, "{context}");
+            assert_eq!(sum.second_moments120, whole.second_moments120, "{context}");
+            assert!(remaining.area2 >= 0, "{context}");
+        }
         assert_eq!(
             *whole.get_or_insert(totals),
             totals,
@@ -198,20 +399,20 @@ fn check_history(random: &mut Random, bodies: &[Body], context: &str) {
         let rest = || left.iter().map(|(_, index)| bodies[*index].clone());
         assert_eq!(
             engine.totals(),
-            recount(rest()),
+            recount(stock.cloned(), rest()),
             "{context}: after deletions"
         );
         if repetition == 0 {
             assert_eq!(
                 engine.totals(),
-                recount_exactly(rest()),
+                recount_exactly(stock.cloned(), rest()),
                 "{context}: in integers alone"
             );
         }
         for (id, _) in left {
             delete(&mut engine, id);
         }
-        assert_eq!(engine.totals(), Totals::default(), "{context}: all deleted");
+        assert_eq!(engine.totals(), nothing, "{context}: all deleted");
         shuffle(random, &mut order);
     }
 }
@@ -503,11 +704,24 @@ fn totals_are_a_function_of_the_set_alone() {
             if below(&mut random, 5) == 0 {
                 bodies.push(bodies[0].clone());
             }
-            check_history(
-                &mut random,
-                &bodies,
-                &format!("family {number}, seed {seed}"),
-            );
+            let context = format!("family {number}, seed {seed}");
+            check_history(&mut random, None, &bodies, &context);
         }
+    }
+}
+
+#[test]
+fn without_bodies_only_the_rounding_of_the_stock_is_left() {
+    let mut random = Random::new(1);
+    let bodies = family(3, &mut random);
+    let stock = Stock::new(bodies[0].part(0)).unwrap();
+    for stock in [None, Some(stock)] {
+        let mut engine = Engine::new().with_stock(stock.clone());
+        let nothing = engine.error_max();
+        assert_eq!(nothing == ErrorMax::default(), stock.is_none());
+        insert(&mut engine, 1, &bodies[1]);
+        assert!(engine.error_max().volume6 > nothing.volume6);
+        delete(&mut engine, 1);
+        assert_eq!(engine.error_max(), nothing);
     }
 }

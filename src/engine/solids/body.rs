@@ -146,12 +146,30 @@ impl Body {
 
     /// The box around it.
     pub fn bounds(&self) -> Bounds {
-        let boxes = (0..self.len()).map(|part| self.part(part).bounds());
+        let boxes = (0..self.len()).map(|part| self.part_bounds(part));
         let around = boxes.reduce(|a, b| Bounds {
             min: [0, 1, 2].map(|axis: usize| a.min[axis].min(b.min[axis])),
             max: [0, 1, 2].map(|axis: usize| a.max[axis].max(b.max[axis])),
         });
         around.expect("a body has a part")
+    }
+
+    /// The box around a part. O(1).
+    pub(super) fn part_bounds(&self, part: usize) -> Bounds {
+        match &self.0 {
+            Kind::Swept { shape, from, to } => {
+                let Bounds { min, mut max } = shape.parts[part].bounds();
+                let (from, to) = (from.coordinates(), to.coordinates());
+                let least = |axis: usize| min[axis] + from[axis].min(to[axis]);
+                let min = [least(0), least(1), least(2)];
+                for axis in 0..3 {
+                    max[axis] += from[axis].max(to[axis]);
+                }
+                max[2] = shape.top.unwrap_or(max[2]);
+                Bounds { min, max }
+            }
+            Kind::Solid(solid) => solid.bounds(),
+        }
     }
 }
 

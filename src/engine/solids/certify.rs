@@ -27,6 +27,7 @@
 #![expect(
     clippy::float_arithmetic,
     clippy::cast_precision_loss,
+    clippy::cast_possible_truncation,
     reason = "floats certify signs and are never a result"
 )]
 #![expect(
@@ -46,6 +47,10 @@ pub(super) const GRAIN: f64 = REACH / (1_u64 << 50) as f64;
 /// Half a step more than nothing: what a box is widened by, beyond its points' slack, before it is compared with a box of lattice points.
 const HAIR: f64 = 1e-6;
 
+/// A point is known too roughly to tell lattice points apart.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Blurred;
+
 /// Roughly where a point is.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Near {
@@ -62,6 +67,28 @@ impl Near {
             at: point.map(f64::from),
             slack: 0.0,
         }
+    }
+
+    /// Whether the two may stand for one point.
+    pub(super) fn may_be(&self, other: &Self) -> bool {
+        let apart = |axis: usize| (self.at[axis] - other.at[axis]).abs();
+        (0..3).all(|axis| apart(axis) <= self.slack + other.slack + GRAIN)
+    }
+
+    /// The one lattice point that it can be; none when it certainly is none.
+    /// # Errors
+    /// [`Blurred`] when several lattice points are within the slack.
+    pub(super) fn nearest_lattice(&self) -> Result<Option<[i32; 3]>, Blurred> {
+        if self.slack >= 0.25 {
+            return Err(Blurred);
+        }
+        let is_near = |part: f64| (part - part.round()).abs() <= self.slack + GRAIN;
+        let nearest = |part: f64| part.round() as i32;
+        Ok(self
+            .at
+            .into_iter()
+            .all(is_near)
+            .then(|| self.at.map(nearest)))
     }
 
     /// Where the segment between two points crosses a plane; `values` are those of the plane at the two.
@@ -204,6 +231,14 @@ impl Room {
         Self {
             min: bounds.min.map(f64::from),
             max: bounds.max.map(f64::from),
+        }
+    }
+
+    /// The least box of lattice points around it. Range: the box itself within that of the coordinates, and a step.
+    pub(super) fn bounds(&self) -> Bounds {
+        Bounds {
+            min: self.min.map(|end| end.floor() as i32),
+            max: self.max.map(|end| end.ceil() as i32),
         }
     }
 

@@ -76,6 +76,18 @@ impl Homogeneous {
         }
     }
 
+    /// Whether it is this lattice point.
+    pub(super) fn is_lattice(&self, point: [i32; 3]) -> bool {
+        (0..3).all(|axis| self.x[axis] == self.w * I256::from(point[axis]))
+    }
+
+    /// The lattice point that it is, if it is one. Range: coordinates within an `i32`.
+    pub(super) fn lattice_point(&self) -> Option<[i32; 3]> {
+        let coordinate = |axis: usize| (self.x[axis] / self.w).as_i32();
+        let point = [coordinate(0), coordinate(1), coordinate(2)];
+        self.is_lattice(point).then_some(point)
+    }
+
     /// Whether some coordinate is at least `2^bits` in size. `bits` is at most 31.
     pub(super) fn reaches(&self, bits: u32) -> bool {
         let bound = self.w.abs() << bits;

@@ -40,6 +40,13 @@
 //! A value in its unit is then below `2^86`, and its error at most `2^(14 - 102 + 74) = 2^-14` (the second moment of a far point); a
 //! value closer than that to a tie is rounded again from the exact flag in big integers.
 //! The `paranoid` feature compares every rounding with the exact one.
+//!
+//! # Two books
+//! Where there is a stock all pieces lie in it, and their union `R` is what they remove. The stock's own boundary around an interval of an edge
+//! of `R` is the same along the whole of it: whole space, a half-space or a wedge, by which of its facets hold the line. So what remains
+//! there, the stock's wedge without the union's, is known from the same rays ([`Boundary::rest`]), and differs from the bare stock at such intervals
+//! only. The second book adds up these differences, to length and area; volume and moments of what remains are the stock's less what is
+//! removed.
 
 #![expect(
     clippy::float_arithmetic,
@@ -52,17 +59,22 @@
     reason = "a body is compiled into each of its two callers, with their instructions"
 )]
 
-use ethnum::I256;
+use std::sync::Arc;
 
+use ethnum::I256;
+use smallvec::{SmallVec, smallvec};
+
+use crate::geometry::EdgeKind;
 use crate::geometry::convex::Plane;
 
 use super::certify::{Near, Room};
-use super::clip::{Arithmetic, Line, Place, Vertex};
+use super::clip::{Arithmetic, Line, Place, Vertex, exact_side};
 use super::double::{Doubles, RELATIVE_ERROR, cross, dot};
 use super::exact::{Flag, Homogeneous, Quantity, Unit};
-use super::lanes::twice;
+use super::lanes::{Verdict, separate, twice};
 use super::measures::{AREA_UNIT, ErrorMax, LENGTH_UNIT, Measures, VOLUME_UNIT};
-use super::sector::Sheets;
+use super::piece::Piece;
+use super::sector::{Boundary, Sheet, Touch};
 use super::vector::{LANES, Lanes, Plain, Vector};
 
 /// Size classes: coordinates below `2^0` to `2^31`.
@@ -164,7 +176,40 @@ struct Entry {
     /// 1 to the left of the line, -1 to the right.
     side: i8,
     weight: i8,
-    kind: u8,
+    kinds: [u8; BOOKS],
+}
+
+/// What is removed, or the union where there is no stock; and what remains of the stock.
+const BOOKS: usize = 2;
+
+/// Beside the kinds of edges: none, for a sheet that is not in a book.
+const NOWHERE: u8 = 3;
+
+/// Sheets of one kind in each book.
+struct Sheets<'a> {
+    list: SmallVec<[Sheet<'a>; 4]>,
+    kinds: [u8; BOOKS],
+    /// -1 for what is taken away.
+    sign: i8,
+}
+
+impl<'a> Sheets<'a> {
+    fn of(rays: Boundary<'_, 'a>, kinds: [u8; BOOKS], sign: i8) -> Self {
+        Self {
+            list: rays.sheets().collect(),
+            kinds,
+            sign,
+        }
+    }
+}
+
+/// What changes, or is there: of the union and of what remains of the stock.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Books {
+    /// Of the union.
+    pub(super) union: Measures,
+    /// Of the rest of the stock; meaningless without a stock.
+    pub(super) rest: Measures,
 }
 
 /// What each size class adds up to, in its units.
@@ -181,16 +226,26 @@ struct Tables {
 #[derive(Debug)]
 pub(super) struct Ledger {
     arithmetic: Arithmetic,
+    /// The stock, in which all pieces lie.
+    stock: Option<Arc<Piece>>,
+    near: Vec<u16>,
     entries: Vec<Entry>,
     points: Vec<Point>,
     tables: Box<Tables>,
-    /// Flags rounded so far, and the greatest size class among their points.
-    flags: u64,
+    flags: Flags,
+    /// Those of the stock.
+    flags_kept: Flags,
+}
+
+/// Flags rounded so far, and the greatest size class among their points.
+#[derive(Clone, Copy, Debug, Default)]
+struct Flags {
+    count: u64,
     class_max: u8,
 }
 
 impl Ledger {
-    pub(super) fn new(arithmetic: Arithmetic) -> Self {
+    pub(super) fn new(arithmetic: Arithmetic, stock: Option<Arc<Piece>>) -> Self {
         let mut tables = Box::new(Tables {
             scales: [[(0.0, 0.0); QUANTITIES.len()]; CLASSES],
             distances: [[0.0; QUANTITIES.len()]; CLASSES],
@@ -203,56 +258,137 @@ impl Ledger {
         }
         Self {
             arithmetic,
+            stock,
+            near: Vec::new(),
             entries: Vec::new(),
             points: Vec::new(),
             tables,
-            flags: 0,
-            class_max: 0,
+            flags: Flags::default(),
+            flags_kept: Flags::default(),
         }
     }
 
     /// Adds the sheets along an interval, so many times.
-    pub(super) fn post(&mut self, line: &Line, ends: &[Vertex; 2], sheets: &Sheets, weight: i8) {
-        if sheets.sheets.is_empty() {
+    pub(super) fn post(
+        &mut self,
+        line: &Line,
+        ends: &[Vertex; 2],
+        rays: Boundary<'_, '_>,
+        weight: i8,
+    ) {
+        let stock = self.stock.clone();
+        let books = self.books(stock.as_deref(), line, ends, rays);
+        self.enter(line, ends, &books, weight);
+    }
+
+    /// Takes the sheets of a union before away and adds those after along one interval.
+    pub(super) fn exchange(
+        &mut self,
+        line: &Line,
+        ends: &[Vertex; 2],
+        [before, after]: [Boundary<'_, '_>; 2],
+    ) {
+        let stock = self.stock.clone();
+        let mut before = self.books(stock.as_deref(), line, ends, before);
+        let mut after = self.books(stock.as_deref(), line, ends, after);
+        // What stays needs no flags. The stock, and so the number of lists, is the same before and after.
+        for (before, after) in before.iter_mut().zip(&mut after) {
+            if before.kinds != after.kinds {
+                continue;
+            }
+            before.list.retain(|old| {
+                let stays = after.list.iter().position(|new| new.same(old));
+                if let Some(index) = stays {
+                    after.list.remove(index);
+                }
+                stays.is_none()
+            });
+        }
+        self.enter(line, ends, &before, -1);
+        self.enter(line, ends, &after, 1);
+    }
+
+    /// What rays around an interval are in each book.
+    fn books<'a>(
+        &mut self,
+        stock: Option<&'a Piece>,
+        line: &Line<'a>,
+        ends: &[Vertex; 2],
+        rays: Boundary<'_, 'a>,
+    ) -> SmallVec<[Sheets<'a>; 1]> {
+        let kind = rays.kind as u8;
+        let Some(stock) = stock else {
+            return smallvec![Sheets::of(rays, [kind, NOWHERE], 1)];
+        };
+        let Some(around) = self.around(stock, ends) else {
+            // Within the stock: the same sheets, and convex becomes concave.
+            let rest = match rays.kind {
+                EdgeKind::Convex => EdgeKind::Concave,
+                EdgeKind::Concave => EdgeKind::Convex,
+                EdgeKind::Crossing => EdgeKind::Crossing,
+            };
+            return smallvec![Sheets::of(rays, [kind, rest as u8], 1)];
+        };
+        let own = around.rays(self.arithmetic, line);
+        let rest = rays.rest(self.arithmetic, line, &own);
+        let own = Boundary {
+            rays: &own,
+            kind: EdgeKind::Convex,
+        };
+        smallvec![
+            Sheets::of(rays, [kind, NOWHERE], 1),
+            Sheets::of(rest.view(), [NOWHERE, rest.kind as u8], 1),
+            Sheets::of(own, [NOWHERE, own.kind as u8], -1),
+        ]
+    }
+
+    /// How the boundary of the stock goes along an interval in it; none inside.
+    fn around<'a>(&mut self, stock: &'a Piece, ends: &[Vertex; 2]) -> Option<Touch<'a>> {
+        if self.arithmetic == Arithmetic::Filtered {
+            let points = [&ends[0].near, &ends[1].near];
+            let verdict = separate(&stock.blocks, points, 0, &mut self.near);
+            assert_eq!(verdict, Verdict::Undecided, "all pieces lie in the stock");
+        } else {
+            let facets = u16::try_from(stock.faces.len()).expect("fewer than 2^16 facets");
+            self.near.clear();
+            self.near.extend(0..facets);
+        }
+        let holds = |facet: &u16| {
+            let face = stock.face(*facet);
+            ends.iter().all(|end| exact_side(face, end) == 0)
+        };
+        self.near.retain(holds);
+        match self.near[..] {
+            [] => None,
+            [facet] => Some(Touch::facet(0, facet, stock.face(facet))),
+            [a, b] => {
+                let faces = [stock.face(a), stock.face(b)];
+                Some(Touch::edge(0, [a, b], faces))
+            }
+            _ => unreachable!("at most two facets of a convex piece hold a line"),
+        }
+    }
+
+    /// Enters sheets along an interval, so many times.
+    fn enter(&mut self, line: &Line, ends: &[Vertex; 2], books: &[Sheets], weight: i8) {
+        if books.iter().all(|book| book.list.is_empty()) {
             return;
         }
         let tail = u32::try_from(self.points.len()).expect("far fewer than 2^32 points");
         self.points.extend(ends.map(|end| Point::of(&end)));
         let way = line.direction.map(exact_double);
-        for sheet in &sheets.sheets {
-            self.entries.push(Entry {
+        for book in books {
+            self.entries.extend(book.list.iter().map(|sheet| Entry {
                 tail,
                 plane: sheet.face.plane,
                 normal: sheet.face.rough.normal,
                 direction: line.direction,
                 way,
                 side: sheet.side as i8,
-                weight,
-                kind: sheets.kind as u8,
-            });
+                weight: weight * book.sign,
+                kinds: book.kinds,
+            }));
         }
-    }
-
-    /// Takes some sheets away and adds others along one interval.
-    pub(super) fn exchange(
-        &mut self,
-        line: &Line,
-        ends: &[Vertex; 2],
-        mut before: Sheets,
-        mut after: Sheets,
-    ) {
-        if before.kind == after.kind {
-            // What stays needs no flags.
-            before.sheets.retain(|old| {
-                let stays = after.sheets.iter().position(|new| new.same(old));
-                if let Some(index) = stays {
-                    after.sheets.remove(index);
-                }
-                stays.is_none()
-            });
-        }
-        self.post(line, ends, &before, -1);
-        self.post(line, ends, &after, 1);
     }
 
     /// A box around all that changes; none when nothing does.
@@ -269,12 +405,15 @@ impl Ledger {
     }
 
     /// Adds up everything posted, and forgets it.
-    pub(super) fn settle(&mut self) -> Measures {
-        let mut measures = Measures::default();
+    pub(super) fn settle(&mut self) -> Books {
+        let mut books = Books::default();
+        // By kind, and in a last place what is in another book only.
+        let mut lengths = [[0; NOWHERE as usize + 1]; BOOKS];
+        let mut areas = [0; BOOKS];
         let mut sums: Box<Sums> = Box::new([[0; QUANTITIES.len() - 2]; CLASSES]);
-        self.flags += 2 * self.entries.len() as u64;
+        self.flags.count += 2 * self.entries.len() as u64;
         let classes = self.points.iter().map(|point| point.class);
-        self.class_max = classes.fold(self.class_max, u8::max);
+        self.flags.class_max = classes.fold(self.flags.class_max, u8::max);
         for entries in self.entries.chunks(LANES) {
             // Missing lanes repeat the first entry.
             let lane = |index: usize| entries.get(index).unwrap_or(&entries[0]);
@@ -287,9 +426,16 @@ impl Ledger {
                         |index: usize| self.value(entry, point, index, &values[index], lane);
                     // The head's direction is the opposite one, and a sheet to the right has its foot the other way.
                     let sign = if end == 0 { 1 } else { -1 } * i128::from(entry.weight);
-                    measures.edge_length2[usize::from(entry.kind)] -= sign * value(0);
+                    let length = -sign * value(0);
                     let sign = sign * i128::from(entry.side);
-                    measures.area2 += sign * value(1);
+                    let area = sign * value(1);
+                    for (book, kind) in entry.kinds.into_iter().enumerate() {
+                        lengths[book][usize::from(kind)] += length;
+                        areas[book] += if kind == NOWHERE { 0 } else { area };
+                    }
+                    if entry.kinds[0] == NOWHERE {
+                        continue;
+                    }
                     let sums = &mut sums[usize::from(point.class)];
                     for (index, sum) in (2..).zip(sums.iter_mut()) {
                         *sum += sign * value(index);
@@ -299,19 +445,35 @@ impl Ledger {
         }
         for (class, sums) in (0_u8..).zip(sums.iter()) {
             if sums.iter().any(|sum| *sum != 0) {
-                measures.collect(class, sums);
+                books.union.collect(class, sums);
             }
+        }
+        // Volume and moments of the rest are what the union leaves.
+        books.rest.retract(&books.union);
+        for (book, to) in [&mut books.union, &mut books.rest].into_iter().enumerate() {
+            to.area2 = areas[book];
+            to.edge_length2.copy_from_slice(&lengths[book][..3]);
         }
         self.entries.clear();
         self.points.clear();
-        measures
+        books
+    }
+
+    /// Counts the flags rounded so far for ever.
+    pub(super) fn keep_flags(&mut self) {
+        self.flags_kept = self.flags;
+    }
+
+    /// Forgets all flags but those kept: when what the others add up to is 0.
+    pub(super) fn forget_flags(&mut self) {
+        self.flags = self.flags_kept;
     }
 
     /// How far off all roundings so far can be together: half a unit for each flag, the units those of the farthest point.
     pub(super) fn error_max(&self) -> ErrorMax {
         let of = |quantity, fixed: i32| {
-            let size = unit(quantity, self.class_max).above(fixed);
-            (u128::from(self.flags) * size).div_ceil(2)
+            let size = unit(quantity, self.flags.class_max).above(fixed);
+            (u128::from(self.flags.count) * size).div_ceil(2)
         };
         ErrorMax {
             volume6: of(Quantity::Volume, VOLUME_UNIT),

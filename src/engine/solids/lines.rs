@@ -17,7 +17,7 @@ use super::features::Features;
 use super::lanes::{Rooms, meeting};
 use super::ledger::Ledger;
 use super::piece::Piece;
-use super::sector::{Sector, Sheet, Sheets, Touch};
+use super::sector::{Rays, Sector, Sheet, Touch};
 
 /// A piece of the neighbourhood. The first one is the piece whose marginal is sought.
 #[derive(Clone, Copy)]
@@ -219,17 +219,17 @@ impl<'a> Candidates<'a, '_> {
         let ends = &interval.ends;
         if interval.touches.len() == finders.len() {
             // Nothing else is around.
-            let sheets = self.alone(line, finders, rays);
+            let rays = self.alone(line, finders, rays);
             match phase {
-                Phase::After => self.ledger.post(line, ends, &sheets, 1),
-                Phase::Before => self.ledger.post(line, ends, &sheets, -1),
+                Phase::After => self.ledger.post(line, ends, rays.view(), 1),
+                Phase::Before => self.ledger.post(line, ends, rays.view(), -1),
             }
             return;
         }
         match phase {
             Phase::After => {
-                if let Some(sheets) = self.around(line, interval, finders, true) {
-                    self.ledger.post(line, ends, &sheets, 1);
+                if let Some(rays) = self.around(line, interval, finders, true) {
+                    self.ledger.post(line, ends, rays.view(), 1);
                 }
             }
             Phase::Before => {
@@ -239,20 +239,23 @@ impl<'a> Candidates<'a, '_> {
                     .then(|| self.around(line, interval, finders, true))
                     .flatten();
                 match (before, after) {
-                    (Some(before), Some(after)) => self.ledger.exchange(line, ends, before, after),
-                    (Some(before), None) => self.ledger.post(line, ends, &before, -1),
-                    (None, Some(after)) => self.ledger.post(line, ends, &after, 1),
+                    (Some(before), Some(after)) => {
+                        self.ledger
+                            .exchange(line, ends, [before.view(), after.view()]);
+                    }
+                    (Some(before), None) => self.ledger.post(line, ends, before.view(), -1),
+                    (None, Some(after)) => self.ledger.post(line, ends, after.view(), 1),
                     (None, None) => {}
                 }
             }
         }
     }
 
-    /// The sheets of the finders alone: a convex edge, or the concave one where two facets cross.
-    fn alone(&self, line: &Line<'a>, finders: &[Touch<'a>], rays: &[[Sheet<'a>; 2]]) -> Sheets<'a> {
+    /// The rays of the finders alone: a convex edge, or the concave one where two facets cross.
+    fn alone(&self, line: &Line<'a>, finders: &[Touch<'a>], rays: &[[Sheet<'a>; 2]]) -> Rays<'a> {
         let [f, g] = finders else {
-            return Sheets {
-                sheets: rays[0].as_slice().into(),
+            return Rays {
+                rays: rays[0].as_slice().into(),
                 kind: EdgeKind::Convex,
             };
         };
@@ -261,20 +264,20 @@ impl<'a> Candidates<'a, '_> {
             face,
             side: line.turn(self.arithmetic, other, face),
         };
-        Sheets {
-            sheets: SmallVec::from_slice(&[outside(f, g), outside(g, f)]),
+        Rays {
+            rays: SmallVec::from_slice(&[outside(f, g), outside(g, f)]),
             kind: EdgeKind::Concave,
         }
     }
 
-    /// The sheets around an interval, with or without the new piece, if these finders are the ones to post it.
+    /// The rays around an interval, with or without the new piece, if these finders are the ones to post it.
     fn around(
         &self,
         line: &Line<'a>,
         interval: &Interval<'a>,
         finders: &[Touch<'a>],
         with_new: bool,
-    ) -> Option<Sheets<'a>> {
+    ) -> Option<Rays<'a>> {
         let touches = interval.touches.iter().copied();
         let touches = touches.filter(|touch| with_new || touch.member != NEW);
         let order = |touch: &Touch<'a>| self.order(touch);
@@ -283,7 +286,7 @@ impl<'a> Candidates<'a, '_> {
         let (f, g) = (finders[0], finders[finders.len() - 1]);
         // An edge is found by one member, a crossing by two.
         let are_these = (a == f.member && b == g.member) || (a == g.member && b == f.member);
-        are_these.then(|| sector.sheets())
+        are_these.then(|| sector.rays())
     }
 }
 

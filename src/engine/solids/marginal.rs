@@ -11,6 +11,8 @@
 //!
 //! Only live features are candidates. Coplanar facets are grouped: a piece on one side of their plane crosses none of them.
 
+use std::sync::Arc;
+
 use rustc_hash::FxHashMap;
 use smallvec::SmallVec;
 
@@ -19,8 +21,9 @@ use crate::geometry::convex::Plane;
 use super::certify::{Room, Value};
 use super::clip::{Arithmetic, Line, Vertex, exact_side, side};
 use super::exact::cross_wide;
+use super::features::Features;
 use super::lanes::{Rooms, separates};
-use super::ledger::Ledger;
+use super::ledger::{Books, Ledger};
 use super::lines::{Candidates, Member, NEW, Phase, Scratch};
 use super::measures::{ErrorMax, Measures};
 use super::piece::{Face, Piece, Position};
@@ -42,7 +45,7 @@ pub(super) struct Kernel {
 /// What a piece adds.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Marginal {
-    pub(super) measures: Measures,
+    pub(super) books: Books,
     /// A box around where the union is another one with the piece than without it; none when it is not.
     pub(super) change: Option<Room>,
 }
@@ -56,17 +59,36 @@ struct Candidate {
 }
 
 impl Kernel {
-    pub(super) fn new(arithmetic: Arithmetic) -> Self {
+    /// Of pieces that all lie in the stock, where there is one.
+    pub(super) fn new(arithmetic: Arithmetic, stock: Option<Arc<Piece>>) -> Self {
         Self {
             arithmetic,
             scratch: Scratch::default(),
-            ledger: Ledger::new(arithmetic),
+            ledger: Ledger::new(arithmetic, stock),
         }
     }
 
     /// How far off all roundings so far can be together.
     pub(super) fn error_max(&self) -> ErrorMax {
         self.ledger.error_max()
+    }
+
+    /// The measures of the stock itself, whose flags count for ever.
+    pub(super) fn begin(&mut self, piece: &Piece) -> Measures {
+        let features = Features::live(piece.edges.len(), piece.faces.len());
+        let member = Member {
+            piece,
+            features: &features,
+            slot: 0,
+        };
+        let measures = self.marginal(&[member]).books.union;
+        self.ledger.keep_flags();
+        measures
+    }
+
+    /// Forgets the flags rounded so far, but for those of the stock: when their sum is 0.
+    pub(super) fn forget_flags(&mut self) {
+        self.ledger.forget_flags();
     }
 
     /// What the first member adds to the union of the others, which are all that touch it.
@@ -91,7 +113,7 @@ impl Kernel {
         search.crossings();
         let change = self.ledger.room();
         Marginal {
-            measures: self.ledger.settle(),
+            books: self.ledger.settle(),
             change,
         }
     }

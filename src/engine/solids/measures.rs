@@ -80,9 +80,12 @@ impl Measures {
 pub struct Totals {
     /// How many bodies.
     pub solids: u64,
-    /// The measures of their union.
+    /// The measures of their union; where there is a stock, of what that union removes from it.
     pub measures: Measures,
-    /// The box around them; none when there are none.
+    /// The measures of what remains of the stock; none without a stock. Its volume and moments and those of what is removed add up to the
+    /// stock's, to the last unit.
+    pub remaining: Option<Measures>,
+    /// The box around them, whatever the stock; none when there are none.
     pub bounds: Option<Bounds>,
 }
 

@@ -3,6 +3,7 @@
 //! Knows convex solids, the kernel and the set. Never knows I/O, async, user units, or in which order bodies came.
 //!
 //! ```text
+//!   stock     ── all parts are cut to it, where there is one
 //!   judge(ops) ──> Effect ──> apply ──┬─ bodies    by id, in the order of the listing
 //!                                     ├─ slots     every convex part: its state and its witnesses; prepared pieces in bounded memory
 //!                                     ├─ exposed   bins of the parts whose union is the union
@@ -45,6 +46,7 @@ mod piece;
 mod recount;
 mod sector;
 mod slots;
+mod stock;
 mod vector;
 mod witnesses;
 
@@ -70,6 +72,7 @@ pub use measures::{AREA_UNIT, ErrorMax, LENGTH_UNIT, Measures, Totals, VOLUME_UN
 use piece::Piece;
 pub use recount::{recount, recount_exactly};
 use slots::{Part, Slots, State};
+pub use stock::{InvalidStock, STOCK_VERTICES_MAX, Stock};
 use witnesses::{Placed, Witnesses};
 
 /// Most bodies of a scene: `2^24`.
@@ -123,6 +126,9 @@ pub struct Engine {
     covered: Bins,
     measures: Measures,
     extents: Extents,
+    stock: Option<Stock>,
+    /// Measures of what remains of the stock; meaningless without one.
+    rest: Measures,
     kernel: Kernel,
     witnesses: Witnesses,
     arithmetic: Arithmetic,
@@ -169,7 +175,9 @@ impl Engine {
             covered: Bins::new(),
             measures: Measures::default(),
             extents: Extents::default(),
-            kernel: Kernel::new(arithmetic),
+            stock: None,
+            rest: Measures::default(),
+            kernel: Kernel::new(arithmetic, None),
             witnesses: Witnesses::default(),
             arithmetic,
             work: Work::default(),
@@ -183,17 +191,34 @@ impl Engine {
         self
     }
 
+    /// The same, cut from a stock: for an engine that has no bodies yet.
+    #[must_use]
+    pub fn with_stock(mut self, stock: Option<Stock>) -> Self {
+        assert!(self.is_empty(), "a stock is there before the first body");
+        let piece = stock.as_ref().map(|stock| Arc::clone(stock.piece()));
+        self.kernel = Kernel::new(self.arithmetic, piece.clone());
+        self.rest = piece.map_or(Measures::default(), |piece| self.kernel.begin(&piece));
+        self.stock = stock;
+        self
+    }
+
+    /// The stock, if there is one.
+    pub fn stock(&self) -> Option<&Stock> {
+        self.stock.as_ref()
+    }
+
     /// Current totals. O(1).
     pub fn totals(&self) -> Totals {
         Totals {
             solids: self.len(),
             measures: self.measures,
+            remaining: self.stock.as_ref().map(|_| self.rest),
             bounds: self.extents.bounds(),
         }
     }
 
-    /// How far rounding can be off in the totals' measures, at most. It grows with every change, for nobody counts the flags that go,
-    /// and is 0 for an engine that never held a body. O(1).
+    /// How far rounding can be off in the totals' measures, at most. It grows with every change, for nobody counts the flags that go, until
+    /// the last body goes; without any it is that of the stock, or 0. O(1).
     pub fn error_max(&self) -> ErrorMax {
         self.kernel.error_max()
     }
@@ -303,11 +328,11 @@ impl Engine {
         let key = cursor(id);
         let mut slots = SmallVec::new();
         for index in 0..body.len() {
-            let piece = Arc::new(Piece::of(&body.part(index)));
-            self.extents.insert(piece.bounds());
+            self.extents.insert(body.part_bounds(index));
+            let piece = prepare(body, index, self.stock.as_ref(), self.arithmetic).map(Arc::new);
             let index = u32::try_from(index).expect("a body has few parts");
             let part = Part { body: key, index };
-            slots.push(self.slots.insert(part, Arc::clone(&piece)));
+            slots.push(self.slots.insert(part, piece));
         }
         let entry = Entry {
             id,
@@ -316,29 +341,40 @@ impl Engine {
         };
         self.bodies.insert(key, entry);
         for slot in slots {
-            self.place(slot);
+            if self.slots.is_prepared(slot) {
+                self.place(slot);
+            }
         }
         self.slots.tidy();
     }
 
     fn delete(&mut self, id: SolidId) {
-        let entry = &self.bodies[&cursor(id)];
-        for slot in entry.slots.clone() {
-            let piece = self.piece(slot);
-            self.extents.remove(piece.bounds());
-            self.displace(slot, &piece);
+        let entry = self.bodies.remove(&cursor(id)).expect("it was checked");
+        for (index, slot) in entry.slots.into_iter().enumerate() {
+            self.extents.remove(entry.body.part_bounds(index));
+            self.displace(slot);
             self.slots.remove(slot);
         }
-        self.bodies.remove(&cursor(id));
         self.slots.tidy();
+        if self.is_empty() {
+            // All measures are those of nothing again, to the last unit.
+            self.kernel.forget_flags();
+        }
     }
 
     /// The prepared piece of a slot.
     fn piece(&mut self, slot: u32) -> Arc<Piece> {
-        let bodies = &self.bodies;
-        self.slots.piece(slot, |part| {
+        let Self {
+            bodies,
+            slots,
+            stock,
+            arithmetic,
+            ..
+        } = self;
+        slots.piece(slot, |part| {
             let index = usize::try_from(part.index).expect("a body has few parts");
-            Piece::of(&bodies[&part.body].body.part(index))
+            let body = &bodies[&part.body].body;
+            prepare(body, index, stock.as_ref(), *arithmetic).expect("it was not outside")
         })
     }
 
@@ -395,7 +431,8 @@ impl Engine {
             self.covered.insert(slot, piece.bounds());
             return;
         }
-        self.measures.add(&marginal.measures);
+        self.measures.add(&marginal.books.union);
+        self.rest.add(&marginal.books.rest);
         for other in &neighbours {
             let mut features = std::mem::take(self.slots.features_mut(other.slot));
             let placed = Placed {
@@ -415,7 +452,11 @@ impl Engine {
     }
 
     /// Takes a part out of its bin, retracts what it adds, and exposes covered parts that are bare without it.
-    fn displace(&mut self, slot: u32, piece: &Arc<Piece>) {
+    fn displace(&mut self, slot: u32) {
+        if matches!(self.slots.state(slot), State::Outside) {
+            return;
+        }
+        let piece = &self.piece(slot);
         let bounds = piece.bounds();
         if matches!(self.slots.state(slot), State::Covered(_)) {
             assert!(
@@ -435,7 +476,8 @@ impl Engine {
         let features = std::mem::take(self.slots.features_mut(slot));
         let own = Placed { piece, slot };
         let marginal = self.marginal(own, &features, &neighbours);
-        self.measures.retract(&marginal.measures);
+        self.measures.retract(&marginal.books.union);
+        self.rest.retract(&marginal.books.rest);
         self.expose(slot, &bounds, marginal.change);
     }
 
@@ -484,7 +526,7 @@ impl Engine {
         self.covered.visit(bounds, |slot, other| {
             let holder = match slots.state(slot) {
                 State::Covered(holder) => *holder,
-                State::Exposed(_) => unreachable!("it is in the bins of the covered ones"),
+                _ => unreachable!("it is in the bins of the covered ones"),
             };
             let is_held = holder.is_some_and(|holder| holder != gone);
             if !is_held && change.is_some_and(|change| change.meets(&Room::of(other))) {
@@ -545,6 +587,20 @@ impl Engine {
             slot: other.slot,
         }));
         self.kernel.marginal(&members)
+    }
+}
+
+/// A part of a body, as far as it lies in the stock; none when nothing of it does.
+fn prepare(
+    body: &Body,
+    part: usize,
+    stock: Option<&Stock>,
+    arithmetic: Arithmetic,
+) -> Option<Piece> {
+    let solid = body.part(part);
+    match stock {
+        Some(stock) => stock.cut(&solid, arithmetic),
+        None => Some(Piece::of(&solid)),
     }
 }
 

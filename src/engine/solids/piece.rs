@@ -21,7 +21,7 @@ pub(super) struct Face {
 }
 
 impl Face {
-    fn of(plane: &Plane) -> Self {
+    pub(super) fn of(plane: &Plane) -> Self {
         Self {
             plane: *plane,
             rough: Rough::of(plane),
@@ -53,7 +53,6 @@ pub(super) enum Position {
     /// At a lattice point.
     Lattice([i32; 3]),
     /// Where three facets' planes meet.
-    #[expect(dead_code, reason = "of pieces that are cut")]
     Meeting([u16; 3]),
 }
 

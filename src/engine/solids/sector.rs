@@ -37,15 +37,77 @@ pub(super) struct Sheet<'a> {
 
 impl Sheet<'_> {
     pub(super) fn same(&self, other: &Sheet) -> bool {
-        self.side == other.side && self.face.same(other.face)
+        self.side == other.side && self.same_face(other)
+    }
+
+    fn same_face(&self, other: &Sheet) -> bool {
+        self.face.same(other.face)
     }
 }
 
-/// The boundary around a line.
+/// The boundary around a line: all its rays, each once, the flat ones too.
 #[derive(Clone, Debug)]
-pub(super) struct Sheets<'a> {
-    pub(super) sheets: SmallVec<[Sheet<'a>; 4]>,
+pub(super) struct Rays<'a> {
+    pub(super) rays: SmallVec<[Sheet<'a>; 4]>,
     pub(super) kind: EdgeKind,
+}
+
+impl<'a> Rays<'a> {
+    pub(super) fn view(&self) -> Boundary<'_, 'a> {
+        Boundary {
+            rays: &self.rays,
+            kind: self.kind,
+        }
+    }
+}
+
+/// Borrowed [`Rays`].
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Boundary<'r, 'a> {
+    pub(super) rays: &'r [Sheet<'a>],
+    pub(super) kind: EdgeKind,
+}
+
+impl<'r, 'a> Boundary<'r, 'a> {
+    /// The rays that are sheets of an edge: opposite rays of one oriented plane are flat, and none.
+    pub(super) fn sheets(self) -> impl Iterator<Item = Sheet<'a>> + use<'r, 'a> {
+        let goes_on = |ray: &Sheet, other: &Sheet| other.side == -ray.side && other.same_face(ray);
+        let is_flat = move |ray: &Sheet| self.rays.iter().any(|other| goes_on(ray, other));
+        self.rays.iter().copied().filter(move |ray| !is_flat(ray))
+    }
+
+    /// The boundary of what a convex piece leaves beside this union, which lies in it: `own` are the piece's rays at the line.
+    ///
+    /// A ray of both is none of the rest: on the piece's boundary the union has the piece's own plane. The others have the union on
+    /// their outer side now, so that the planes of its rays count as turned about; the sheets' flags of length and area are the same.
+    pub(super) fn rest(
+        self,
+        arithmetic: Arithmetic,
+        line: &Line<'a>,
+        own: &[Sheet<'a>],
+    ) -> Rays<'a> {
+        let is_in = |ray: &Sheet<'a>, rays: &[Sheet<'a>]| rays.iter().any(|other| other.same(ray));
+        let turned = self.rays.iter().filter(|ray| !is_in(ray, own));
+        let turned = turned.map(|ray| (*ray, -1));
+        let kept = own.iter().filter(|ray| !is_in(ray, self.rays));
+        let rays: SmallVec<[(Sheet<'a>, i32); 8]> =
+            turned.chain(kept.map(|ray| (*ray, 1))).collect();
+        let kind = match rays[..] {
+            [(a, way), (b, _)] => kind_of_two(way * b.side * line.turn(arithmetic, a.face, b.face)),
+            _ => EdgeKind::Crossing,
+        };
+        let rays = rays.into_iter().map(|(ray, _)| ray).collect();
+        Rays { rays, kind }
+    }
+}
+
+/// Of an edge with two sheets, one of which lies on this side of the other's plane: -1 inside. A convex one has it there.
+fn kind_of_two(side: i32) -> EdgeKind {
+    if side < 0 {
+        EdgeKind::Convex
+    } else {
+        EdgeKind::Concave
+    }
 }
 
 impl<'a> Touch<'a> {
@@ -186,8 +248,8 @@ impl<'a> Sector<'a> {
     }
 
     /// The boundary of the union.
-    pub(super) fn sheets(&self) -> Sheets<'a> {
-        let mut rays: SmallVec<[Sheet<'a>; 8]> = SmallVec::new();
+    pub(super) fn rays(&self) -> Rays<'a> {
+        let mut rays: SmallVec<[Sheet<'a>; 4]> = SmallVec::new();
         for (index, (_, own)) in self.members.iter().enumerate() {
             for ray in own {
                 if !self.is_covered(index, ray) && !rays.iter().any(|other| other.same(ray)) {
@@ -196,19 +258,10 @@ impl<'a> Sector<'a> {
             }
         }
         let kind = match &rays[..] {
-            // A convex edge has each sheet on the inner side of the other's plane.
-            [a, b] if b.side * self.line.turn(self.arithmetic, a.face, b.face) < 0 => {
-                EdgeKind::Convex
-            }
-            [_, _] => EdgeKind::Concave,
+            [a, b] => kind_of_two(b.side * self.line.turn(self.arithmetic, a.face, b.face)),
             _ => EdgeKind::Crossing,
         };
-        let is_flat = |ray: &Sheet<'a>| {
-            let goes_on = |other: &Sheet| other.side == -ray.side && other.face.same(ray.face);
-            rays.iter().any(goes_on)
-        };
-        let sheets = rays.iter().filter(|ray| !is_flat(ray)).copied().collect();
-        Sheets { sheets, kind }
+        Rays { rays, kind }
     }
 
     /// Whether another member holds the outer side of a member's ray.

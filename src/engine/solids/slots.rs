@@ -20,6 +20,8 @@ pub(super) enum State {
     Exposed(Features),
     /// In the union of the exposed ones. The slot, where there is one, is of an exposed part that covers it alone.
     Covered(Option<u32>),
+    /// Nowhere: it has no volume in common with the stock.
+    Outside,
 }
 
 #[derive(Debug)]
@@ -55,13 +57,13 @@ impl Slots {
         }
     }
 
-    /// A slot for a part that is prepared already.
-    pub(super) fn insert(&mut self, part: Part, piece: Arc<Piece>) -> u32 {
-        self.prepared += piece.size();
+    /// A slot for a part that is prepared already, or is outside.
+    pub(super) fn insert(&mut self, part: Part, piece: Option<Arc<Piece>>) -> u32 {
+        self.prepared += piece.as_ref().map_or(0, |piece| piece.size());
         let record = Some(Record {
             part,
-            state: State::Covered(None),
-            piece: Some(piece),
+            state: State::Outside,
+            piece,
             is_recent: true,
         });
         if let Some(slot) = self.free.pop() {
@@ -94,6 +96,11 @@ impl Slots {
             .expect("the slot is used")
     }
 
+    /// Whether its piece is prepared now; one outside never is.
+    pub(super) fn is_prepared(&self, slot: u32) -> bool {
+        self.record(slot).piece.is_some()
+    }
+
     pub(super) fn state(&self, slot: u32) -> &State {
         &self.record(slot).state
     }
@@ -106,7 +113,7 @@ impl Slots {
     pub(super) fn features(&self, slot: u32) -> &Features {
         match self.state(slot) {
             State::Exposed(features) => features,
-            State::Covered(_) => unreachable!("only exposed parts are neighbours"),
+            _ => unreachable!("only exposed parts are neighbours"),
         }
     }
 
@@ -114,7 +121,7 @@ impl Slots {
     pub(super) fn features_mut(&mut self, slot: u32) -> &mut Features {
         match &mut self.record_mut(slot).state {
             State::Exposed(features) => features,
-            State::Covered(_) => unreachable!("only exposed parts are neighbours"),
+            _ => unreachable!("only exposed parts are neighbours"),
         }
     }
 

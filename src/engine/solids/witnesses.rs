@@ -6,10 +6,10 @@
 
 use smallvec::SmallVec;
 
-use super::clip::{Arithmetic, Vertex, exact_side, side};
+use super::clip::{Arithmetic, Place, Vertex, exact_side, side};
 use super::features::Features;
 use super::lanes::{Verdict, separate};
-use super::piece::{Piece, Position};
+use super::piece::Piece;
 
 /// What is known of a vertex.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -188,9 +188,9 @@ impl Court<'_> {
                 .edge_between(a, b)
                 .expect("two facets that hold a line in the piece share an edge");
             let twin = other.edges[twin];
-            let [u, v] = [twin.tail, twin.head].map(|vertex| position(other, vertex));
-            let [p, q] = [edge.tail, edge.head].map(|vertex| position(own, vertex));
-            let is_equal = (u == p && v == q) || (u == q && v == p);
+            let is_one = |vertex, twin| is_one_point(own, vertex, other, twin);
+            let is_equal = (is_one(edge.tail, twin.tail) && is_one(edge.head, twin.head))
+                || (is_one(edge.tail, twin.head) && is_one(edge.head, twin.tail));
             return !is_equal || self.other.slot < self.own.slot;
         }
         true
@@ -213,8 +213,8 @@ impl Court<'_> {
             if holder.same(face) {
                 let theirs = other.loop_of(near);
                 let is_theirs = |vertex: &u16| {
-                    let place = position(own, *vertex);
-                    theirs.iter().any(|one| position(other, *one) == place)
+                    let is_one = |one: &u16| is_one_point(own, *vertex, other, *one);
+                    theirs.iter().any(is_one)
                 };
                 let is_equal = points.len() == theirs.len() && points.iter().all(is_theirs);
                 return !is_equal || self.other.slot < self.own.slot;
@@ -224,10 +224,14 @@ impl Court<'_> {
     }
 }
 
-/// Where a vertex is, comparable across pieces; none for one that is no lattice point.
-fn position(piece: &Piece, vertex: u16) -> Option<[i32; 3]> {
-    match piece.corners[usize::from(vertex)].position {
-        Position::Lattice(point) => Some(point),
-        Position::Meeting(_) => None,
+/// Whether vertices of two pieces are one point. A vertex at a lattice point is known as one, however it was found.
+fn is_one_point(one: &Piece, vertex: u16, other: &Piece, other_vertex: u16) -> bool {
+    let (one, other) = (Vertex::of(one, vertex), Vertex::of(other, other_vertex));
+    match (one.place, other.place) {
+        (Place::Lattice(a), Place::Lattice(b)) => a == b,
+        (Place::Meeting(_), Place::Meeting(faces)) => {
+            one.near.may_be(&other.near) && faces.iter().all(|face| exact_side(face, &one) == 0)
+        }
+        _ => false,
     }
 }

@@ -119,7 +119,7 @@ impl Builder {
         } = self;
         let (vertices, loops) = used(&points, &loops)?;
         let small = |number: usize| u16::try_from(number).expect("checked by const assertion");
-        let (edges, across) = edges(&starts, &loops);
+        let (edges, across) = edges_of(&starts, &loops);
         // Euler's formula: a surface that is closed and in one piece.
         assert_eq!(vertices.len() + planes.len(), edges.len() + 2);
         Ok(Solid {
@@ -182,8 +182,9 @@ fn used(points: &[Point], loops: &[usize]) -> Result<(Vec<Point>, Vec<u16>), Inv
 /// The bits of a side that say where it is in the loops.
 const PLACE_MASK: u64 = (1 << 31) - 1;
 
-/// The edges, and the facet across each place of the loops.
-fn edges(starts: &[usize], loops: &[u16]) -> (Vec<Edge>, Vec<u16>) {
+/// The edges of a closed surface, and the facet across each place of the loops; `starts` says where in `loops` each facet's begins, and the
+/// end of the last.
+pub(crate) fn edges_of(starts: &[usize], loops: &[u16]) -> (Vec<Edge>, Vec<u16>) {
     // One key for each place: the ends of its edge, the lesser first, then the place itself. The two sides of an edge become neighbours.
     let mut sides = Vec::with_capacity(loops.len());
     let mut facet_of = Vec::with_capacity(loops.len());

@@ -114,6 +114,7 @@ pub fn solid_properties(
         solids,
         measures,
         bounds,
+        ..
     } = totals;
     let user = |integer: i128, divisor: i128, power: usize| {
         float(integer) / (float(divisor) * scale.power(power))
