@@ -44,7 +44,7 @@ pub struct ServeConfig {
     pub history_changes_max: NonZeroU64,
     /// Newest idempotency keys kept, per scene.
     pub idempotency_keys_max: NonZeroU64,
-    /// Newest changes of a scene that can be gone back behind once there is a snapshot.
+    /// Newest changes of a scene that can be reverted once there is a snapshot.
     pub revert_changes_max: u64,
     /// Most bytes kept for that, per scene.
     pub revert_bytes_max: u64,
@@ -99,7 +99,7 @@ pub struct ServeFlags {
     #[arg(long, value_name = "COUNT")]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub idempotency_keys_max: Option<NonZeroU64>,
-    /// Newest changes of a scene that can be gone back behind once there is a snapshot [default: 1000000]
+    /// Newest changes of a scene that can be reverted once there is a snapshot [default: 1000000]
     #[arg(long, value_name = "COUNT")]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub revert_changes_max: Option<u64>,

@@ -4,16 +4,13 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 use tempfile::TempDir;
 use union3d::geometry::{Bounds, CubeId, Edge, Effect, Place, Stock, StockMeasures, Totals};
 use union3d::log::{
-    Answer, Disk, Header, HistoryRow, Keep, KeyRecord, LogError, Motion, Record, Replayed,
+    Header, HistoryRow, Keep, KeyRecord, LogError, Motion, Record, RecordedOutcome, Replayed,
     SceneLog, Seq, Step, TEMPORARY_PREFIX, remove_leftovers, remove_scene,
 };
 
@@ -91,7 +88,7 @@ fn stock() -> Stock {
     Stock::new([-5, 0, 7], [1 << 30, 1, 8]).unwrap()
 }
 
-/// What the log should hold: the slow twin.
+/// What the log should hold: the reference.
 #[derive(Clone, Default)]
 struct Model {
     /// Cubes after every seq, from 0.
@@ -177,7 +174,7 @@ impl Model {
         let record = KeyRecord {
             key: format!("key {number}").into(),
             body: [(); 32].map(|()| random.next().to_le_bytes()[0]),
-            answer: Answer {
+            answer: RecordedOutcome {
                 seq: Seq(self.seq()),
                 at_ms: random.next(),
                 inserted: random.next(),
@@ -237,21 +234,14 @@ fn header() -> Header {
     }
 }
 
-fn disk() -> Disk {
-    Disk::default()
-}
-
 fn create(data: &TempDir, keep: Keep) -> (SceneLog, PathBuf) {
     let path = data.path().join("scene");
-    (
-        SceneLog::create(&disk(), &path, &header(), keep).unwrap(),
-        path,
-    )
+    (SceneLog::create(&path, &header(), keep).unwrap(), path)
 }
 
 /// Opens and replays, checking order and totals on the way.
 fn reopen(path: &Path, keep: Keep) -> Result<(SceneLog, Cubes, Vec<String>), LogError> {
-    let (mut log, notices) = SceneLog::open(&disk(), path, keep)?;
+    let (mut log, notices) = SceneLog::open(path, keep)?;
     assert_eq!(log.header(), &header());
     let mut cubes = Cubes::new();
     let mut seq = Seq(0);
@@ -574,75 +564,33 @@ fn a_scene_is_created_whole_and_removed_whole() {
     let data = directory();
     let (log, path) = create(&data, KEEP);
     assert!(log.size_bytes() > 4096);
-    assert!(SceneLog::create(&disk(), &path, &header(), KEEP).is_err());
+    assert!(SceneLog::create(&path, &header(), KEEP).is_err());
     // What a crash in the middle leaves.
     let rubbish = data.path().join(format!("{TEMPORARY_PREFIX}create-other"));
     fs::create_dir(&rubbish).unwrap();
     fs::write(rubbish.join("scene.sqlite"), "half").unwrap();
     let names = || fs::read_dir(data.path()).unwrap().count();
     assert_eq!(names(), 2);
-    drop(SceneLog::create(&disk(), &data.path().join("other"), &header(), KEEP).unwrap());
+    drop(SceneLog::create(&data.path().join("other"), &header(), KEEP).unwrap());
     assert_eq!(
         names(),
         2,
         "the rubbish of the same scene is in nobody's way"
     );
     fs::create_dir(&rubbish).unwrap();
-    remove_leftovers(&disk(), data.path()).unwrap();
+    remove_leftovers(data.path()).unwrap();
     assert_eq!(names(), 2);
     drop(log);
     check(&path, KEEP, &Model::new());
-    remove_scene(&disk(), &path).unwrap();
+    remove_scene(&path).unwrap();
     assert_eq!(names(), 1);
-    assert!(SceneLog::create(&disk(), &data.path().join("no/such"), &header(), KEEP).is_err());
-}
-
-/// Every call that creating makes on files of our own fails once; the scene is then not there, and nothing keeps it from being
-/// created once the disk works again.
-#[test]
-fn a_scene_whose_creation_fails_is_not_there() {
-    let failing = |at: usize, calls: &Arc<AtomicUsize>| {
-        let calls = calls.clone();
-        Disk {
-            watch: Some(Arc::new(move |_| {
-                if calls.fetch_add(1, Ordering::Relaxed) == at {
-                    Err(io::Error::from(io::ErrorKind::StorageFull))
-                } else {
-                    Ok(())
-                }
-            })),
-            ..disk()
-        }
-    };
-    let data = directory();
-    let calls = Arc::default();
-    let watched = failing(usize::MAX, &calls);
-    let whole = data.path().join("whole");
-    drop(SceneLog::create(&watched, &whole, &header(), KEEP).unwrap());
-    let calls = calls.load(Ordering::Relaxed);
-    let mut refused = 0;
-    for at in 0..calls {
-        let path = data.path().join(format!("scene-{at}"));
-        let created = SceneLog::create(&failing(at, &Arc::default()), &path, &header(), KEEP);
-        if let Err(error) = created {
-            refused += 1;
-            assert!(matches!(error, LogError::Full { .. }), "call {at}: {error}");
-            if path.exists() {
-                // The rename was made; what failed came after it, and the service removes the scene.
-                remove_scene(&disk(), &path).unwrap();
-            }
-            drop(SceneLog::create(&disk(), &path, &header(), KEEP).unwrap());
-        }
-        check(&path, KEEP, &Model::new());
-    }
-    // The rest only notes how far the log has come, or looks at what it noted.
-    assert!(refused >= 6, "{refused} of {calls}");
+    assert!(SceneLog::create(&data.path().join("no/such"), &header(), KEEP).is_err());
 }
 
 #[test]
 fn what_is_no_log_is_refused() {
     let data = directory();
-    let refuse = |path: &Path| SceneLog::open(&disk(), path, KEEP).map(drop).unwrap_err();
+    let refuse = |path: &Path| SceneLog::open(path, KEEP).map(drop).unwrap_err();
     let path = data.path().join("scene");
     assert!(matches!(refuse(&path), LogError::Damaged { .. }));
     fs::create_dir(&path).unwrap();
@@ -657,7 +605,7 @@ fn what_is_no_log_is_refused() {
     other.execute_batch("CREATE TABLE t(a)").unwrap();
     drop(other);
     assert!(matches!(refuse(&path), LogError::Foreign { .. }));
-    drop(SceneLog::create(&disk(), &data.path().join("newer"), &header(), KEEP).unwrap());
+    drop(SceneLog::create(&data.path().join("newer"), &header(), KEEP).unwrap());
     let newer = rusqlite::Connection::open(data.path().join("newer/scene.sqlite")).unwrap();
     newer.pragma_update(None, "user_version", 4).unwrap();
     drop(newer);
@@ -676,7 +624,7 @@ fn a_state_that_differs_is_damage_with_its_seq() {
         .collect();
     log.append(&records, &[]).unwrap();
     drop(log);
-    let (mut log, _) = SceneLog::open(&disk(), &path, KEEP).unwrap();
+    let (mut log, _) = SceneLog::open(&path, KEEP).unwrap();
     let error = log
         .replay(
             &mut |_| {},

@@ -10,7 +10,7 @@ use futures_util::future::BoxFuture;
 use parking_lot::{Condvar, Mutex};
 use union3d::engine::{Counts, Engine, Op, Rejected, Side, recount};
 use union3d::geometry::{CubeId, Edge, Effect, Place, Stock, Totals};
-use union3d::log::{Disk, Keep, LogError, Replayed, SceneLog};
+use union3d::log::{Keep, LogError, Replayed, SceneLog};
 use union3d::service::{
     Applied, Counting, FailHook, FailPoint, Motion, Operations, Published, Readiness, Scene,
     SceneName, SceneState, Seq, Service, ServiceConfig, ServiceError, Submission,
@@ -99,7 +99,7 @@ fn numbered(places: Vec<Place>, key: Option<(&str, u8)>) -> Submission {
     }
 }
 
-/// The slow twin: a map of ids to places and a list of what was acknowledged.
+/// The reference: a map of ids to places and a list of what was acknowledged.
 #[derive(Clone, Default)]
 struct Model {
     cubes: BTreeMap<u64, Place>,
@@ -841,7 +841,7 @@ async fn the_first_change_whose_totals_differ_is_named() {
         snapshot_log_bytes_min: u64::MAX,
     };
     let path = directory.path().join("data/scenes/s");
-    let (mut log, _) = SceneLog::open(&Disk::default(), &path, keep).unwrap();
+    let (mut log, _) = SceneLog::open(&path, keep).unwrap();
     let mut records = Vec::new();
     log.replay(&mut |_| (), &mut |step| {
         if let Replayed::Change(record) = step {
@@ -1171,12 +1171,7 @@ async fn a_long_log_is_cut_by_a_snapshot_while_changes_go_on() {
         revert_bytes_max: 0,
         snapshot_log_bytes_min: u64::MAX,
     };
-    let (mut log, _) = SceneLog::open(
-        &Disk::default(),
-        &directory.path().join("data/scenes/s"),
-        keep,
-    )
-    .unwrap();
+    let (mut log, _) = SceneLog::open(&directory.path().join("data/scenes/s"), keep).unwrap();
     let mut changes = 0;
     let mut snapshot = None;
     log.replay(&mut |_| (), &mut |step| {
@@ -1193,7 +1188,7 @@ async fn a_long_log_is_cut_by_a_snapshot_while_changes_go_on() {
     assert_eq!(seq.0 + changes, last.seq.0 + 1);
 }
 
-/// Files that version 0.1.0 wrote: a snapshot, what was trimmed behind it, changes with keys and moves, one that went back, a
+/// Files that version 0.1.0 wrote: a snapshot, what was trimmed behind it, changes with keys and moves, a revert, a
 /// stock, and a write-ahead file as a crash leaves it.
 #[tokio::test]
 async fn files_of_version_0_1_0_open() {

@@ -18,7 +18,7 @@ use union3d::engine::Op;
 use union3d::geometry::{InvalidCube, Place};
 use union3d::wire::convert::{self, Anchor, Settings, SettingsDocument};
 use union3d::wire::decode;
-use union3d::wire::documents::{Line, NewCube};
+use union3d::wire::documents::{LineOperation, NewCube};
 use union3d::wire::problem::Problem;
 
 /// How much of the input is looked at to tell what it is.
@@ -359,10 +359,10 @@ fn read_ndjson(mut source: impl BufRead, cubes: &mut Batches<'_>) -> Result<(), 
             format!("line {line}: {what} (a line is like {{\"id\":1,\"at\":[0,0,2.5]}}): {text}")
         };
         match decode::file_line(json).map_err(wrong)? {
-            Line::Insert(NewCube { id, at }) => {
+            LineOperation::Insert(NewCube { id, at }) => {
                 cubes.insert_at(line, id.map(|id| id.id.0), at)?;
             }
-            Line::Delete(id) => cubes.push(line, Op::Delete(id.id))?,
+            LineOperation::Delete(id) => cubes.push(line, Op::Delete(id.id))?,
         }
     }
     Ok(())

@@ -30,7 +30,7 @@ impl Database {
         let flags = OpenFlags::SQLITE_OPEN_READ_WRITE
             | OpenFlags::SQLITE_OPEN_CREATE
             | OpenFlags::SQLITE_OPEN_NO_MUTEX;
-        let connection = site.disk.connect(&site.database, flags);
+        let connection = Connection::open_with_flags(&site.database, flags);
         let connection = connection.map_err(site.sqlite(Seq(0)))?;
         let superblock = Superblock::NEW;
         let build = || {
@@ -64,7 +64,7 @@ impl Database {
     pub(super) fn open(site: Site) -> Result<(Self, Meta), LogError> {
         let seq = site.marked_seq();
         let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
-        let connection = site.disk.connect(&site.database, flags);
+        let connection = Connection::open_with_flags(&site.database, flags);
         let connection = connection.map_err(site.sqlite(seq))?;
         // Until replay has found everything in order, closing must not touch the files.
         connection
@@ -147,7 +147,7 @@ impl Database {
     pub(super) fn reader(&self) -> Result<Connection, LogError> {
         let open = || {
             let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
-            let connection = self.site.disk.connect(&self.site.database, flags)?;
+            let connection = Connection::open_with_flags(&self.site.database, flags)?;
             configure(&connection)?;
             Ok(connection)
         };
@@ -170,7 +170,7 @@ pub(super) fn read_superblock(
 ) -> Result<Superblock, LogError> {
     Superblock::read(connection, seal)
         .map_err(site.sqlite(seq))?
-        .map_err(|error| site.damaged(seq, format_args!("its head: {error}")))
+        .map_err(|error| site.damaged(seq, format_args!("its superblock: {error}")))
 }
 
 fn configure(connection: &Connection) -> rusqlite::Result<()> {
@@ -241,7 +241,7 @@ pub(super) fn generation_without_write_ahead(site: &Site, seal: Seal) -> Option<
         | OpenFlags::SQLITE_OPEN_URI
         | OpenFlags::SQLITE_OPEN_NO_MUTEX;
     let uri = format!("file:{escaped}?immutable=1");
-    let connection = site.disk.connect(uri, flags).ok()?;
+    let connection = Connection::open_with_flags(uri, flags).ok()?;
     let superblock = Superblock::read(&connection, seal).ok()?.ok()?;
     Some(superblock.generation)
 }

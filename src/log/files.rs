@@ -11,11 +11,10 @@
 //! A directory is built under a name that starts with [`TEMPORARY_PREFIX`] and renamed, and removed the other way round, so a crash leaves a
 //! whole scene, or none and some rubbish that [`remove_leftovers`] knows by its name.
 
-use std::fs;
-use std::io::{self, Read};
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-use super::disk::{Disk, OpenFile, or_here};
 use super::{LogError, Seq};
 
 /// Names of directories that are being made or removed start with this; no scene's name does.
@@ -36,15 +35,13 @@ const ADVICE: &str =
 /// Where a scene's files are, to find them and to name them in errors.
 #[derive(Clone, Debug)]
 pub(super) struct Site {
-    pub(super) disk: Disk,
     directory: PathBuf,
     pub(super) database: PathBuf,
 }
 
 impl Site {
-    pub(super) fn new(disk: &Disk, directory: &Path) -> Self {
+    pub(super) fn new(directory: &Path) -> Self {
         Self {
-            disk: disk.clone(),
             directory: directory.to_owned(),
             database: directory.join("scene.sqlite"),
         }
@@ -60,7 +57,7 @@ impl Site {
 
     /// Makes the names of the files durable.
     pub(super) fn sync_names(&self) -> io::Result<()> {
-        self.disk.sync_directory(&self.directory)
+        sync_directory(&self.directory)
     }
 
     /// Bytes of all files.
@@ -145,15 +142,16 @@ impl Site {
     /// Writes and syncs a nameless file beside the database.
     pub(super) fn try_to_write(&self) -> io::Result<()> {
         const TRIAL_BYTES: usize = 1 << 16;
-        self.disk.try_bytes(&self.directory, TRIAL_BYTES)
+        let mut file = tempfile::tempfile_in(&self.directory)?;
+        file.write_all(&vec![1; TRIAL_BYTES])?;
+        file.sync_all()
     }
 
     /// Checks the start of the database file before SQLite sees it: SQLite would take an empty file for a new database and
     /// delete its write-ahead file. Answers the size of a page.
     pub(super) fn check_database_header(&self) -> Result<usize, LogError> {
         let mut bytes = Vec::new();
-        self.disk
-            .read(&self.database)
+        File::open(&self.database)
             .and_then(|file| {
                 file.take(u64::try_from(HEADER_SIZE).expect("a hundred fits"))
                     .read_to_end(&mut bytes)
@@ -197,7 +195,7 @@ impl Site {
     /// What is known to have been answered for, if it can be read.
     pub(super) fn commit_marker(&self) -> Option<CommitMarker> {
         let mut bytes = Vec::new();
-        let mut file = self.disk.read(&self.acknowledged()).ok()?;
+        let mut file = File::open(self.acknowledged()).ok()?;
         file.read_to_end(&mut bytes).ok()?;
         CommitMarkerFile::parse(&bytes)
     }
@@ -223,13 +221,18 @@ pub(super) struct CommitMarker {
 /// The marker is written after each commit and never synced, which costs a microsecond. So it may lag behind after a power
 /// failure, but it is never ahead of what was on stable storage; after the death of the process alone it is exact.
 #[derive(Debug)]
-pub(super) struct CommitMarkerFile(OpenFile);
+pub(super) struct CommitMarkerFile(File);
 
 impl CommitMarkerFile {
     const SIZE: usize = 20;
 
     pub(super) fn open(site: &Site) -> io::Result<Self> {
-        site.disk.open(site.acknowledged()).map(Self)
+        OpenOptions::new()
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .open(site.acknowledged())
+            .map(Self)
     }
 
     fn parse(bytes: &[u8]) -> Option<CommitMarker> {
@@ -248,35 +251,35 @@ impl CommitMarkerFile {
         bytes[8..16].copy_from_slice(&marker.seq.0.to_le_bytes());
         let crc = crc32fast::hash(&bytes[..16]);
         bytes[16..].copy_from_slice(&crc.to_le_bytes());
-        self.0.write(&bytes)
+        self.0.seek(SeekFrom::Start(0))?;
+        self.0.write_all(&bytes)
     }
 
     pub(super) fn sync(&self) -> io::Result<()> {
-        self.0.sync()
+        self.0.sync_all()
     }
 }
 
 /// Makes `directory` appear whole: `build` fills a directory of another name beside it.
 /// Nobody else creates the same one at the same time.
 pub(super) fn create_whole(
-    disk: &Disk,
     directory: &Path,
     build: impl FnOnce(&Path) -> Result<(), LogError>,
 ) -> Result<(), LogError> {
-    let site = Site::new(disk, directory);
+    let site = Site::new(directory);
     let io = |error: io::Error| site.io(&error);
     if directory.exists() {
         return Err(site.failed("the directory is there already"));
     }
-    let temporary = temporary_sibling(disk, directory, "create").map_err(io)?;
-    disk.create_directory(&temporary).map_err(io)?;
+    let temporary = temporary_sibling(directory, "create").map_err(io)?;
+    fs::create_dir(&temporary).map_err(io)?;
     let outcome = build(&temporary)
-        .and_then(|()| disk.sync_directory(&temporary).map_err(io))
-        .and_then(|()| disk.rename(&temporary, directory).map_err(io))
-        .and_then(|()| disk.sync_directory(parent(directory)).map_err(io));
+        .and_then(|()| sync_directory(&temporary).map_err(io))
+        .and_then(|()| fs::rename(&temporary, directory).map_err(io))
+        .and_then(|()| sync_directory(parent(directory)).map_err(io));
     if outcome.is_err() {
         // What cannot be removed now has a name by which it is removed later.
-        drop(disk.remove_directory(&temporary));
+        drop(fs::remove_dir_all(&temporary));
     }
     outcome
 }
@@ -285,23 +288,23 @@ pub(super) fn create_whole(
 /// back, if anything did: [`remove_leftovers`] does that later.
 /// # Errors
 /// The file system's; the scene is then still there.
-pub fn remove_scene(disk: &Disk, directory: &Path) -> io::Result<Option<io::Error>> {
-    let temporary = temporary_sibling(disk, directory, "remove")?;
-    disk.rename(directory, &temporary)?;
-    if let Err(error) = disk.sync_directory(parent(directory)) {
+pub fn remove_scene(directory: &Path) -> io::Result<Option<io::Error>> {
+    let temporary = temporary_sibling(directory, "remove")?;
+    fs::rename(directory, &temporary)?;
+    if let Err(error) = sync_directory(parent(directory)) {
         // After a power failure the scene would be back, so it is not gone now either.
-        disk.rename(&temporary, directory)?;
+        fs::rename(&temporary, directory)?;
         return Err(error);
     }
-    Ok(disk.remove_directory(&temporary).err())
+    Ok(fs::remove_dir_all(&temporary).err())
 }
 
 /// A free name beside `directory`.
-fn temporary_sibling(disk: &Disk, directory: &Path, purpose: &str) -> io::Result<PathBuf> {
+fn temporary_sibling(directory: &Path, purpose: &str) -> io::Result<PathBuf> {
     let mut name = std::ffi::OsString::from(format!("{TEMPORARY_PREFIX}{purpose}-"));
     name.push(directory.file_name().unwrap_or_default());
     let temporary = parent(directory).join(name);
-    match disk.remove_directory(&temporary) {
+    match fs::remove_dir_all(&temporary) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
         _ => Ok(temporary),
     }
@@ -310,20 +313,52 @@ fn temporary_sibling(disk: &Disk, directory: &Path, purpose: &str) -> io::Result
 /// Removes what a crash left of scenes being created or removed under `data`. Only for the one who has locked it.
 /// # Errors
 /// The file system's.
-pub fn remove_leftovers(disk: &Disk, data: &Path) -> io::Result<()> {
-    for name in disk.list_directory(data)? {
+pub fn remove_leftovers(data: &Path) -> io::Result<()> {
+    for entry in fs::read_dir(data)? {
+        let name = entry?.file_name();
         if name
             .as_encoded_bytes()
             .starts_with(TEMPORARY_PREFIX.as_bytes())
         {
-            disk.remove_directory(&data.join(&name))?;
+            fs::remove_dir_all(data.join(&name))?;
         }
     }
     Ok(())
 }
 
+/// Creates a directory and those above it that are not there. Durably: also the names of those that are there already,
+/// which a server that died may have made and not synced.
+/// # Errors
+/// The file system's; but not that a directory which was there before cannot be synced.
+pub fn create_directories(path: &Path) -> io::Result<()> {
+    let above = || path.ancestors().skip(1);
+    let missing = above().take_while(|above| !above.exists()).count();
+    fs::create_dir_all(path)?;
+    for (index, directory) in above().enumerate() {
+        match sync_directory(or_here(directory)) {
+            Err(error) if index <= missing => return Err(error),
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
+/// Makes the names in a directory durable.
+fn sync_directory(path: &Path) -> io::Result<()> {
+    File::open(path)?.sync_all()
+}
+
 fn parent(directory: &Path) -> &Path {
     or_here(directory.parent().unwrap_or(directory))
+}
+
+/// The directory above a name alone is the empty path.
+fn or_here(path: &Path) -> &Path {
+    if path.as_os_str().is_empty() {
+        Path::new(".")
+    } else {
+        path
+    }
 }
 
 fn is_short_read(error: &rusqlite::Error) -> bool {

@@ -5,8 +5,7 @@
 //! ```text
 //!   append ──> changes, operations, keys ──┐                         ┌──> replay: chunks, then later changes
 //!   snapshot_add ──> chunks ───────────────┴─> one SQLite database ──┼──> HistoryReader: totals by seq
-//!              superblock: which rows there must be      │           └──> verify
-//!                                                        └─ disk: every access to it
+//!              superblock: which rows there must be                  └──> verify
 //! ```
 //! Why a wrong total cannot come out, whatever happens to the files:
 //! - A row other than the superblock is written once and sealed with a CRC, so a row that is there is right (`tables`).
@@ -22,7 +21,6 @@
 mod chunks;
 mod codec;
 mod database;
-mod disk;
 mod files;
 #[doc(hidden)]
 pub mod fuzzing;
@@ -40,8 +38,7 @@ use std::path::PathBuf;
 use crate::geometry::{CubeId, Effect, Place, Stock, Totals};
 
 pub use codec::RECORD_CUBES_MAX;
-pub use disk::{Disk, FileCall, FileWatch};
-pub use files::{TEMPORARY_PREFIX, remove_leftovers, remove_scene};
+pub use files::{TEMPORARY_PREFIX, create_directories, remove_leftovers, remove_scene};
 pub use history::HistoryReader;
 pub use revert::Step;
 pub use scene::SceneLog;
@@ -87,16 +84,16 @@ pub struct Record {
 
 /// What was answered to a change, so that a retry with the same key is answered the same.
 #[derive(Clone, PartialEq, Eq, Debug)]
-pub struct Answer {
+pub struct RecordedOutcome {
     /// The scene's seq after the change.
     pub seq: Seq,
     /// When that was, in milliseconds since 1970.
     pub at_ms: u64,
-    /// Counts.
+    /// Cubes it inserted.
     pub inserted: u64,
-    /// Counts.
+    /// Cubes it deleted.
     pub deleted: u64,
-    /// Counts.
+    /// Operations that changed nothing.
     pub unchanged: u64,
     /// First and last id the server gave.
     pub assigned: Option<(CubeId, CubeId)>,
@@ -114,7 +111,7 @@ pub struct KeyRecord {
     /// SHA-256 of the body it came with.
     pub body: [u8; 32],
     /// What was answered.
-    pub answer: Answer,
+    pub answer: RecordedOutcome,
 }
 
 /// What is fixed when a scene is created.
@@ -214,7 +211,7 @@ pub struct HistoryRow {
     pub seq: Seq,
     /// Its time, ms since 1970.
     pub at_ms: u64,
-    /// Cubes it inserted and deleted.
+    /// Cubes it inserted.
     pub inserted: u64,
     /// Cubes it deleted.
     pub deleted: u64,

@@ -118,7 +118,7 @@ impl SceneLog {
             if ends != expected {
                 return Err(site.damaged(
                     superblock.seq,
-                    format_args!("table {table} has other changes than its head says"),
+                    format_args!("table {table} has other changes than its superblock says"),
                 ));
             }
         }
@@ -130,7 +130,10 @@ impl SceneLog {
         if snapshots != i64::from(self.snapshot.is_some())
             || needed.iter().any(|&first| first > replayed_from + 1)
         {
-            return Err(site.damaged(superblock.seq, "its snapshot is not what its head says"));
+            return Err(site.damaged(
+                superblock.seq,
+                "its snapshot is not what its superblock says",
+            ));
         }
         Ok(())
     }
@@ -282,10 +285,11 @@ impl SceneLog {
         seq: Seq,
     ) -> Result<Option<Seq>, LogError> {
         let Database { site, seal, .. } = &self.database;
-        let reverts_to = Packed::reverts_to(row, first, *seal)
-            .map_err(|error| site.damaged(seq, format_args!("what it went back to: {error}")))?;
+        let reverts_to = Packed::reverts_to(row, first, *seal).map_err(|error| {
+            site.damaged(seq, format_args!("the seq that it reverts to: {error}"))
+        })?;
         if reverts_to.is_some_and(|reverts_to| reverts_to >= seq) {
-            return Err(site.damaged(seq, "it went back to what had not been"));
+            return Err(site.damaged(seq, "it reverts to a seq that had not come"));
         }
         Ok(reverts_to)
     }

@@ -11,7 +11,6 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use super::chunks::SnapshotWriter;
 use super::codec::{Encoder, RECORD_CUBES_MAX, count, put_totals};
 use super::database::{Database, generation_without_write_ahead};
-use super::disk::Disk;
 use super::files::{CommitMarker, Site, create_whole};
 use super::history::HistoryReader;
 use super::tables::{CHUNKS_MAX, Changes, Keys, Meta, Packed, Snapshot};
@@ -53,12 +52,7 @@ impl SceneLog {
     /// Creates the scene's directory and log, durably, appearing whole (temporary name, then rename).
     /// # Errors
     /// [`LogError::Failed`] when the directory is there already, otherwise the disk's.
-    pub fn create(
-        disk: &Disk,
-        directory: &Path,
-        header: &Header,
-        keep: Keep,
-    ) -> Result<Self, LogError> {
+    pub fn create(directory: &Path, header: &Header, keep: Keep) -> Result<Self, LogError> {
         let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH);
         let meta = Meta {
             header: header.clone(),
@@ -67,10 +61,10 @@ impl SceneLog {
                 .and_then(|duration| duration.as_millis().try_into().ok())
                 .unwrap_or(0),
         };
-        create_whole(disk, directory, |temporary| {
-            Database::create(&Site::new(disk, temporary), &meta)
+        create_whole(directory, |temporary| {
+            Database::create(&Site::new(temporary), &meta)
         })?;
-        let (mut log, _) = Self::open(disk, directory, keep)?;
+        let (mut log, _) = Self::open(directory, keep)?;
         log.database.checkpoint()?;
         Ok(log)
     }
@@ -81,15 +75,11 @@ impl SceneLog {
     /// Refusing changes no file.
     /// # Errors
     /// [`LogError::Damaged`] and [`LogError::Foreign`] when the files are not what they were.
-    pub fn open(
-        disk: &Disk,
-        directory: &Path,
-        keep: Keep,
-    ) -> Result<(Self, Vec<String>), LogError> {
-        let site = Site::new(disk, directory);
+    pub fn open(directory: &Path, keep: Keep) -> Result<(Self, Vec<String>), LogError> {
+        let site = Site::new(directory);
         let page_size = site.check_database_header()?;
         let write_ahead =
-            wal::inspect(disk, &site.write_ahead(), page_size).map_err(|error| site.io(&error))?;
+            wal::inspect(&site.write_ahead(), page_size).map_err(|error| site.io(&error))?;
         if let WriteAhead::Broken { detail, frame } = write_ahead {
             let place = frame.map_or_else(String::new, |frame| format!(" (frame {frame})"));
             return Err(site.damaged(
@@ -285,7 +275,9 @@ impl SceneLog {
                     site.damaged(superblock.seq, format_args!("its snapshot: {error}"))
                 })?;
             if snapshot.seq > superblock.seq {
-                return Err(site.damaged(superblock.seq, "its snapshot is newer than its head"));
+                return Err(
+                    site.damaged(superblock.seq, "its snapshot is newer than its superblock")
+                );
             }
             self.snapshot = Some(snapshot);
         }
@@ -439,7 +431,7 @@ mod tests {
             stock: None,
             settings: String::new(),
         };
-        let mut log = SceneLog::create(&Disk::default(), &path, &header, KEEP).unwrap();
+        let mut log = SceneLog::create(&path, &header, KEEP).unwrap();
         log.append(&[record(1, 1)], &[]).unwrap();
         let limit = |log: &SceneLog, pages: i64| {
             let connection = &log.database.connection;
@@ -461,7 +453,7 @@ mod tests {
         log.probe().unwrap();
         log.append(&[record(2, 100_000)], &[]).unwrap();
         drop(log);
-        let (mut log, notices) = SceneLog::open(&Disk::default(), &path, KEEP).unwrap();
+        let (mut log, notices) = SceneLog::open(&path, KEEP).unwrap();
         assert_eq!((log.seq(), notices), (Seq(2), vec![]));
         let mut counts = vec![];
         log.replay(&mut |_| {}, &mut |replayed| {

@@ -19,7 +19,7 @@ use rusqlite::types::ValueRef;
 use rusqlite::{Connection, Row, params, params_from_iter};
 
 use super::codec::{self, Malformed, Reader};
-use super::{Answer, Header, HistoryRow, KeyRecord, Motion, Seq};
+use super::{Header, HistoryRow, KeyRecord, Motion, RecordedOutcome, Seq};
 use crate::geometry::{CubeId, Totals};
 
 /// Every table and index, as the schema has it word for word. The superblock is first and its one page low, so that a checkpoint, which writes pages
@@ -643,7 +643,7 @@ impl Keys {
 
 const ANSWER_VERSION: u8 = 2;
 
-fn put_answer(to: &mut Vec<u8>, answer: &Answer) {
+fn put_answer(to: &mut Vec<u8>, answer: &RecordedOutcome) {
     to.push(ANSWER_VERSION);
     for number in [
         answer.seq.0,
@@ -665,12 +665,12 @@ fn put_answer(to: &mut Vec<u8>, answer: &Answer) {
     codec::put_totals(to, &answer.totals);
 }
 
-fn read_answer(bytes: &[u8]) -> Result<Answer, Malformed> {
+fn read_answer(bytes: &[u8]) -> Result<RecordedOutcome, Malformed> {
     let mut reader = Reader(bytes);
     if reader.byte()? != ANSWER_VERSION {
         return Err(Malformed("an answer of an unknown version"));
     }
-    let answer = Answer {
+    let answer = RecordedOutcome {
         seq: Seq(reader.varint()?),
         at_ms: reader.varint()?,
         inserted: reader.varint()?,

@@ -13,10 +13,9 @@
 //! # Source
 //! <https://sqlite.org/fileformat2.html#the_write_ahead_log>
 
+use std::fs::File;
 use std::io::{self, BufReader, Read};
 use std::path::Path;
-
-use super::disk::Disk;
 
 const HEADER_SIZE: usize = 32;
 const FRAME_HEADER_SIZE: usize = 24;
@@ -51,8 +50,8 @@ pub(super) enum WriteAhead {
 /// Reads the file at `path`, whose frames must hold pages of `page_size`. O(its length).
 /// # Errors
 /// Only when the file cannot be read; a missing file is empty.
-pub(super) fn inspect(disk: &Disk, path: &Path, page_size: usize) -> io::Result<WriteAhead> {
-    let file = match disk.read(path) {
+pub(super) fn inspect(path: &Path, page_size: usize) -> io::Result<WriteAhead> {
+    let file = match File::open(path) {
         Ok(file) => file,
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(WriteAhead::Empty),
         Err(error) => return Err(error),

@@ -48,3 +48,32 @@ impl Drop for Pass<'_> {
         self.0.changed.notify_all();
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::cell::Cell;
+
+    use super::*;
+
+    /// Who comes when all places are taken looks again and again whether it has ended, and is not let in.
+    #[test]
+    fn nobody_comes_in_while_all_places_are_taken() {
+        let gate = Gate::new(2);
+        let taken = [(); 2].map(|()| gate.enter(|| false).unwrap());
+        std::thread::scope(|scope| {
+            let waits = scope.spawn(|| {
+                let looks = Cell::new(0);
+                let ended = || looks.replace(looks.get() + 1) == 3;
+                gate.enter(ended).is_none()
+            });
+            while !waits.is_finished() {
+                gate.nudge();
+                std::thread::yield_now();
+            }
+            assert!(waits.join().unwrap());
+        });
+        let [first, _second] = taken;
+        drop(first);
+        assert!(gate.enter(|| false).is_some());
+    }
+}

@@ -124,7 +124,7 @@ impl Reply {
 
 impl Drop for Reply {
     fn drop(&mut self) {
-        // Lost in a panic, and so not applied.
+        // Lost in a panic: nobody knows whether it was applied, so what follows must not be.
         if let (Some(_), Some(chain)) = (&self.sender, &self.chain) {
             chain.break_off();
         }

@@ -7,7 +7,7 @@ use crate::geometry::{CubeId, Effect};
 use crate::log::{LogError, SceneLog};
 
 /// What a change is judged against: the state after all that was accepted before it.
-pub(super) struct Bench<'a> {
+pub(super) struct Judging<'a> {
     pub(super) engine: &'a Engine,
     /// Seq of the engine. For a revert, of the log too.
     pub(super) newest: Seq,
@@ -44,7 +44,7 @@ impl<E: Into<ServiceError>> From<E> for Unfit {
     }
 }
 
-impl Bench<'_> {
+impl Judging<'_> {
     /// Judges a change. O(operations); a revert, O(operations that tell its state and the newest one apart).
     pub(super) fn judge(
         &self,

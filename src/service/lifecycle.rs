@@ -139,7 +139,7 @@ pub(super) fn reopen(scene: &Scene) -> Result<Writer, Halt> {
     let ended = || scene.inbox.ended().is_some();
     let _pass = scene.setup.gate.enter(ended).ok_or(Halt::Ended)?;
     failpoint::pass(scene.setup.fail_hook.as_ref(), FailPoint::Open)?;
-    let (log, notices) = SceneLog::open(&scene.setup.config.disk, &scene.directory, keep(scene))?;
+    let (log, notices) = SceneLog::open(&scene.directory, keep(scene))?;
     for notice in &notices {
         tracing::warn!(scene = scene.name().as_str(), "{notice}");
     }

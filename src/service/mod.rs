@@ -37,7 +37,7 @@ use std::time::Duration;
 
 use crate::engine::{Counts, Op, Rejected};
 use crate::geometry::{CUBES_MAX, CubeId, Place, Totals};
-pub use crate::log::{Disk, HistoryRow, Motion, Seq};
+pub use crate::log::{HistoryRow, Motion, Seq};
 pub use failpoint::{FailHook, FailPoint};
 pub use meters::describe_metrics;
 pub use offline::{Offline, OfflineAudit};
@@ -77,8 +77,6 @@ pub struct ServiceConfig {
     pub scene_cubes_max: u64,
     /// Scenes that are replayed at the same time: each replay can use all cores, and takes memory.
     pub replays_max: usize,
-    /// The disk under the logs.
-    pub disk: Disk,
 }
 
 /// A scene's name: `[a-z0-9][a-z0-9._-]{0,62}`.
@@ -326,7 +324,6 @@ impl ServiceConfig {
             probe_interval: Duration::from_secs(1),
             scene_cubes_max: CUBES_MAX,
             replays_max: 2,
-            disk: Disk::default(),
         }
     }
 }

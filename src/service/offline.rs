@@ -7,7 +7,7 @@ use super::registry::lock_data;
 use super::replay::{Compare, rebuild};
 use super::{Audit, SceneName, StartError};
 use crate::engine::recount;
-use crate::log::{Disk, Keep, LogError, SceneLog};
+use crate::log::{Keep, LogError, SceneLog};
 
 /// A data directory, locked: no service can use it meanwhile.
 #[derive(Debug)]
@@ -87,7 +87,7 @@ impl Offline {
             revert_bytes_max: u64::MAX,
             snapshot_log_bytes_min: u64::MAX,
         };
-        let (mut log, notices) = SceneLog::open(&Disk::default(), directory, keep)?;
+        let (mut log, notices) = SceneLog::open(directory, keep)?;
         let records = log.verify(&mut |permille| progress(permille / 2))?;
         let rebuilt = rebuild(
             &mut log,

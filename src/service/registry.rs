@@ -23,7 +23,7 @@ use super::scene::{Scene, Setup, blocking};
 use super::writer::{Halt, Writer};
 use super::{Readiness, SceneName, SceneState, ServiceConfig, ServiceError, StartError};
 use crate::geometry::{Edge, Stock};
-use crate::log::{Disk, Header, LogError, SceneLog, remove_leftovers, remove_scene};
+use crate::log::{Header, LogError, SceneLog, create_directories, remove_leftovers, remove_scene};
 
 /// All scenes of a data directory.
 #[derive(Clone)]
@@ -83,27 +83,24 @@ impl Service {
     }
 
     fn open(config: ServiceConfig, fail_hook: Option<FailHook>) -> Result<Self, StartError> {
-        let disk = config.disk.clone();
-        disk.create_directories(&config.data)
-            .map_err(|error| unusable(&config.data, &error))?;
+        create_directories(&config.data).map_err(|error| unusable(&config.data, &error))?;
         let lock = lock_data(&config.data)?;
         let scenes = config.data.join("scenes");
         let failed = |doing: &str, error: &io::Error| {
             StartError(format!("cannot {doing} {}: {error}", scenes.display()))
         };
-        disk.create_directories(&scenes)
-            .map_err(|error| failed("create", &error))?;
-        remove_leftovers(&disk, &scenes).map_err(|error| failed("clean", &error))?;
+        create_directories(&scenes).map_err(|error| failed("create", &error))?;
+        remove_leftovers(&scenes).map_err(|error| failed("clean", &error))?;
         let setup = Arc::new(Setup {
             gate: Gate::new(config.replays_max),
             config,
             fail_hook,
         });
         let mut found = Vec::new();
-        let names = disk.list_directory(&scenes);
-        for text in names.map_err(|error| failed("read", &error))? {
-            let path = scenes.join(&text);
-            match SceneName::new(&text.to_string_lossy()) {
+        let entries = fs::read_dir(&scenes).and_then(Iterator::collect::<io::Result<Vec<_>>>);
+        for entry in entries.map_err(|error| failed("read", &error))? {
+            let path = entry.path();
+            match SceneName::new(&entry.file_name().to_string_lossy()) {
                 Ok(name) if path.is_dir() => {
                     let bytes = size_bytes(&path);
                     found.push((Arc::new(Scene::new(name, path, setup.clone())), bytes));
@@ -254,24 +251,19 @@ impl Registry {
             stock,
             settings: settings.to_owned(),
         };
-        let begun = SceneLog::create(
-            &self.setup.config.disk,
-            &scene.directory,
-            &header,
-            keep(&scene),
-        )
-        .map_err(Halt::from)
-        .and_then(|log| revive(&scene, log))
-        .map_err(refusal)
-        .and_then(|writer| {
-            // Before the thread runs: the answer to `create` must not be followed by a refusal.
-            writer.begin(&scene);
-            spawn(&scene, Some(writer)).map_err(|error| storage(&error))
-        });
+        let begun = SceneLog::create(&scene.directory, &header, keep(&scene))
+            .map_err(Halt::from)
+            .and_then(|log| revive(&scene, log))
+            .map_err(refusal)
+            .and_then(|writer| {
+                // Before the thread runs: the answer to `create` must not be followed by a refusal.
+                writer.begin(&scene);
+                spawn(&scene, Some(writer)).map_err(|error| storage(&error))
+            });
         if let Err(error) = begun {
             // Nobody was told of the scene: it must not be there after a restart either.
             if scene.directory.exists()
-                && let Err(error) = discard(&self.setup.config.disk, &scene.directory)
+                && let Err(error) = discard(&scene.directory)
             {
                 tracing::error!("{} is left: {error}", scene.directory.display());
             }
@@ -290,7 +282,7 @@ impl Registry {
         };
         scene.announce_end(End::Dropped);
         scene.finish_end(End::Dropped);
-        match discard(&self.setup.config.disk, &scene.directory) {
+        match discard(&scene.directory) {
             Ok(()) => {
                 self.scenes.remove(name.as_str());
                 tracing::info!(scene = name.as_str(), "dropped");
@@ -419,8 +411,8 @@ fn size_bytes(directory: &Path) -> u64 {
 }
 
 /// Takes a scene's files away: durably when it returns.
-fn discard(disk: &Disk, directory: &Path) -> io::Result<()> {
-    if let Some(error) = remove_scene(disk, directory)? {
+fn discard(directory: &Path) -> io::Result<()> {
+    if let Some(error) = remove_scene(directory)? {
         tracing::warn!(
             "some of {} is left until the next start: {error}",
             directory.display()

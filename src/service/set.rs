@@ -275,11 +275,11 @@ mod tests {
             for id in self.ids {
                 assert_eq!(view.cube(*id), self.durable.get(id).copied());
             }
-            let mut twin = self.durable.iter().map(|(id, place)| (*id, *place));
+            let mut expected = self.durable.iter().map(|(id, place)| (*id, *place));
             let mut listed: Vec<_> = view.cubes().collect();
             assert!(listed.is_sorted_by_key(|(id, _)| Cursor::of(*id)));
             listed.sort_unstable_by_key(|(id, _)| *id);
-            assert!(listed.into_iter().eq(twin.by_ref()));
+            assert!(listed.into_iter().eq(expected.by_ref()));
             let mut paged = Vec::new();
             let mut after = None;
             loop {

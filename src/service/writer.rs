@@ -14,14 +14,14 @@ use std::time::{Instant, SystemTime, UNIX_EPOCH};
 use super::failpoint::{self, FailPoint};
 use super::feed::Feed;
 use super::inbox::{Pending, Reply};
-use super::judge::{Accepted, Bench, Unfit};
+use super::judge::{Accepted, Judging, Unfit};
 use super::next_id::NextId;
 use super::scene::{Condition, Scene};
 use super::upkeep::Upkeep;
 use super::{Applied, Motion, Published, Seq, ServiceError, Submission, meters};
 use crate::engine::{Access, Counts, Engine};
 use crate::geometry::{Effect, Totals};
-use crate::log::{Answer, KeyRecord, LogError, Record, SceneLog};
+use crate::log::{KeyRecord, LogError, Record, RecordedOutcome, SceneLog};
 
 /// Upkeep that did not fit the disk is tried again after this many probe intervals.
 const UPKEEP_PAUSE_PROBES: u32 = 60;
@@ -190,14 +190,14 @@ impl Writer {
             });
         }
         let accepted = self.feed.set.look(|engine| {
-            let bench = Bench {
+            let judging = Judging {
                 engine,
                 newest: group.newest().unwrap_or(self.published).seq,
                 log: &self.log,
                 next_id: self.next_id,
                 cubes_max: scene.setup.config.scene_cubes_max,
             };
-            bench.judge(operations, counting)
+            judging.judge(operations, counting)
         });
         let accepted = match accepted {
             Ok(accepted) => accepted,
@@ -309,8 +309,8 @@ fn removed(totals: &Totals) -> i128 {
     }
 }
 
-fn recorded(applied: &Applied) -> Answer {
-    Answer {
+fn recorded(applied: &Applied) -> RecordedOutcome {
+    RecordedOutcome {
         seq: applied.published.seq,
         at_ms: applied.published.at_ms,
         inserted: applied.counts.inserted,
@@ -322,7 +322,7 @@ fn recorded(applied: &Applied) -> Answer {
     }
 }
 
-fn replayed(answer: &Answer) -> Applied {
+fn replayed(answer: &RecordedOutcome) -> Applied {
     Applied {
         published: Published {
             seq: answer.seq,

@@ -190,7 +190,7 @@ pub struct Change {
     rename_all = "lowercase",
     expecting = "neither {\"insert\":{\"id\":..,\"at\":[..]}} nor {\"delete\":..}"
 )]
-pub enum Line<C> {
+pub enum LineOperation<C> {
     /// Insert a cube.
     Insert(C),
     /// Delete the cube of this id.

@@ -287,10 +287,10 @@ impl From<Fault> for Problem {
 
 /// A problem on its way to the client.
 #[derive(Debug)]
-pub struct Problem(Box<Parts>);
+pub struct Problem(Box<Contents>);
 
 #[derive(Debug)]
-struct Parts {
+struct Contents {
     code: Code,
     detail: String,
     faults: Vec<Fault>,
@@ -300,7 +300,7 @@ struct Parts {
 impl Problem {
     /// A problem with what is particular to this occurrence.
     pub fn new(code: Code, detail: impl Into<String>) -> Self {
-        Self(Box::new(Parts {
+        Self(Box::new(Contents {
             code,
             detail: detail.into(),
             faults: vec![],
@@ -439,7 +439,7 @@ struct Extensions {
 
 impl IntoResponse for Problem {
     fn into_response(self) -> Response {
-        let Parts {
+        let Contents {
             code,
             detail,
             faults,

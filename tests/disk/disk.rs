@@ -177,7 +177,7 @@ impl Disk {
     }
 
     /// From now on all that is there counts as durable.
-    pub(crate) fn settle(&self) {
+    pub(crate) fn make_durable(&self) {
         let mut state = self.shared.state.lock();
         let nodes = 0..state.nodes;
         state.events.extend(nodes.map(Event::Sync));

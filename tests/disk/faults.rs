@@ -1,7 +1,7 @@
 //! Every call of a workload fails once, and the power fails later.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
@@ -9,7 +9,7 @@ use std::time::Duration;
 use parking_lot::Mutex;
 use union3d::engine::{Engine, Op};
 use union3d::geometry::{CubeId, Effect, Place};
-use union3d::log::{Header, Keep, Record, Replayed, SceneLog};
+use union3d::log::{Header, Keep, Record, Replayed, SceneLog, remove_scene};
 use union3d::service::{Motion, Operations, SceneName, SceneState, Seq, Service, ServiceConfig};
 
 use super::Random;
@@ -28,12 +28,27 @@ const KINDS: [Kind; 8] = [
     Kind::MakeDirectory,
 ];
 
+const HEADER: Header = Header {
+    incarnation: 1,
+    edge_steps: 3,
+    stock: None,
+    settings: String::new(),
+};
+
+const KEEP: Keep = Keep {
+    history_changes_max: 9,
+    idempotency_keys_max: 9,
+    revert_changes_max: 0,
+    revert_bytes_max: 0,
+    snapshot_log_bytes_min: 0,
+};
+
 /// After a failed sync the power may fail at any moment: so many calls later all has been written anew.
 const CALLS_WATCHED: usize = 60;
 
 /// Calls that fail.
 #[derive(Clone, Copy, Debug)]
-struct Fault {
+struct FailingCalls {
     kind: Kind,
     first: usize,
     /// Which of the calls from `first` on: bit by bit, the lowest is the first.
@@ -41,7 +56,7 @@ struct Fault {
     errno: i32,
 }
 
-impl Fault {
+impl FailingCalls {
     fn fails(&self, index: usize) -> bool {
         let bit = index.checked_sub(self.first);
         bit.is_some_and(|bit| bit < 8 && self.pattern >> bit & 1 == 1)
@@ -66,7 +81,7 @@ fn count(kind: Kind, seed: u64) -> usize {
 }
 
 /// Lets calls fail, then cuts the power: at every acknowledgement, and after any of the calls that follow a failed sync.
-fn fail(fault: Fault, seed: u64) -> Vec<String> {
+fn fail(fault: FailingCalls, seed: u64) -> Vec<String> {
     let disk = Disk::new();
     let path = Arc::new(Mutex::new(PathBuf::new()));
     let failed = path.clone();
@@ -110,7 +125,7 @@ fn fail_some(kinds: &[Kind], positions: usize, seed: u64) {
         let calls = count(kind, seed);
         let step = calls.div_ceil(positions).max(1);
         for first in (below(step)..calls).step_by(step) {
-            let fault = Fault {
+            let fault = FailingCalls {
                 kind,
                 first,
                 pattern: u8::try_from(below(256)).unwrap() | 1,
@@ -133,27 +148,59 @@ fn nothing_acknowledged_is_lost_whichever_calls_fail() {
     fail_some(&KINDS, usize::MAX, 2);
 }
 
+/// Every call that creating a scene makes fails once. When the creation fails, nothing keeps the scene from being created once the
+/// disk works again; when it does not, the scene is there.
+#[test]
+fn a_scene_whose_creation_fails_can_be_created_later() {
+    let disk = Disk::new();
+    let calls = Arc::new(AtomicUsize::new(0));
+    let fail_at = |at: usize| {
+        let calls = calls.clone();
+        calls.store(0, Ordering::Relaxed);
+        disk.set_rule(move |_| {
+            if calls.fetch_add(1, Ordering::Relaxed) == at {
+                Verdict::Fail(libc::ENOSPC)
+            } else {
+                Verdict::Pass
+            }
+        });
+    };
+    let create = |path: &Path| SceneLog::create(path, &HEADER, KEEP).map(drop);
+    fail_at(usize::MAX);
+    create(&disk.path().join("whole")).unwrap();
+    let all = calls.load(Ordering::Relaxed);
+    let mut refused = 0;
+    for at in 0..all {
+        let path = disk.path().join(format!("scene-{at}"));
+        fail_at(at);
+        let created = create(&path);
+        disk.heal();
+        if created.is_err() {
+            refused += 1;
+            if path.exists() {
+                // What failed came after the rename, and the service removes the scene.
+                remove_scene(&path).unwrap();
+            }
+            create(&path).unwrap();
+        }
+        let (mut log, notices) = SceneLog::open(&path, KEEP).unwrap();
+        assert_eq!(notices, Vec::<String>::new(), "call {at}");
+        log.replay(&mut |_| (), &mut |replayed| {
+            panic!("call {at}: {replayed:?} in an empty scene")
+        })
+        .unwrap();
+    }
+    // Some calls only look, or are made again.
+    assert!(refused * 2 > all, "{refused} of {all}");
+}
+
 /// What a snapshot holds is read back before the changes it stands for may be dropped: a chunk that reads otherwise than it was
 /// written is not taken, and the log is as it was.
 #[test]
 fn a_snapshot_that_does_not_read_as_it_was_written_is_not_taken() {
     let disk = Disk::new();
     let path = disk.path().join("scene");
-    let header = Header {
-        incarnation: 1,
-        edge_steps: 3,
-        stock: None,
-        settings: String::new(),
-    };
-    let keep = Keep {
-        history_changes_max: 9,
-        idempotency_keys_max: 9,
-        revert_changes_max: 0,
-        revert_bytes_max: 0,
-        snapshot_log_bytes_min: 0,
-    };
-    let files = union3d::log::Disk::default();
-    let mut log = SceneLog::create(&files, &path, &header, keep).unwrap();
+    let mut log = SceneLog::create(&path, &HEADER, KEEP).unwrap();
     let mut random = Random::new(5);
     let mut inserted = Vec::new();
     for id in 0..3000 {
@@ -188,7 +235,7 @@ fn a_snapshot_that_does_not_read_as_it_was_written_is_not_taken() {
     assert!(written.is_err());
     disk.heal();
     drop(log);
-    let (mut log, _) = SceneLog::open(&files, &path, keep).unwrap();
+    let (mut log, _) = SceneLog::open(&path, KEEP).unwrap();
     let mut changes = 0;
     log.replay(&mut |_| (), &mut |replayed| {
         assert!(matches!(replayed, Replayed::Change(_)), "{replayed:?}");

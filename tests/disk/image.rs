@@ -138,10 +138,10 @@ impl Image {
                 .file(*node)
                 .pending
                 .push(Change::Truncate { size: *size }),
-            Event::Sync(node) => self.settle(*node, &Reached::All),
+            Event::Sync(node) => self.keep(*node, &Reached::All),
             // The kernel has given up on the bytes; names it still knows to be unwritten.
             Event::SyncFailed(node) if matches!(self.nodes[node], Content::File(_)) => {
-                self.settle(*node, &Reached::some(random));
+                self.keep(*node, &Reached::some(random));
             }
             Event::SyncFailed(_) => {}
             Event::Mark(_) => {}
@@ -149,7 +149,7 @@ impl Image {
     }
 
     /// Nothing of this file or directory is pending any more.
-    fn settle(&mut self, node: Node, reached: &Reached) {
+    fn keep(&mut self, node: Node, reached: &Reached) {
         match self.nodes.get_mut(&node).expect("it was made") {
             Content::File(file) => {
                 file.durable = file.after(reached);

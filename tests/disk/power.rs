@@ -214,7 +214,7 @@ fn cut_twice(step: usize, seed: u64) {
                 Ok(world) => world,
                 Err(what) => return failures.push(format!("{when}, {reached:?} reached: {what}")),
             };
-            disk.settle();
+            disk.make_durable();
             let client = Client::go_on(&disk, random.next(), world, story.totals.clone());
             let (events, story) = record(&disk, client, async |client| client.changes().await);
             let mut begun = false;

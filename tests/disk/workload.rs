@@ -364,8 +364,7 @@ impl<'a> Client<'a> {
             snapshot_log_bytes_min: 0,
         };
         let directory = data(self.disk.path()).join("scenes").join(name);
-        let (mut log, notices) =
-            SceneLog::open(&union3d::log::Disk::default(), &directory, keep).unwrap();
+        let (mut log, notices) = SceneLog::open(&directory, keep).unwrap();
         assert_eq!(notices, Vec::<String>::new());
         let mut engine = Engine::new(edge()).with_stock(log.header().stock);
         log.replay(&mut |_| (), &mut |replayed| {

@@ -1,4 +1,4 @@
-//! Going back over HTTP.
+//! Reverts over HTTP.
 
 use serde_json::{Value, json};
 
@@ -36,7 +36,7 @@ async fn a_scene_goes_back_and_forward_again() {
     assert_eq!(third.ok()["exact"], before["exact"]);
 }
 
-/// A key stands for the going back that it came with first.
+/// A key stands for the revert that it came with first.
 #[tokio::test]
 async fn a_retry_with_the_same_key_goes_back_once() {
     let server = Server::start().await;
@@ -98,7 +98,7 @@ async fn what_is_no_longer_kept_is_gone_with_the_oldest_that_is() {
         if answer.status != 200 {
             break answer.problem(410, "seq-not-reachable");
         }
-        // Nothing was dropped yet: undo the going back.
+        // Nothing was dropped yet: revert the revert.
         let body = json!({"to": newest}).to_string();
         server.send("POST", &path, JSON, &body).await.ok();
     };

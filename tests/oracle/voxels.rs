@@ -1,4 +1,4 @@
-//! The slow twin of the geometry: every measure from its definition, voxel by voxel.
+//! The slow reference for the geometry: every measure from its definition, voxel by voxel.
 
 use ethnum::I256;
 use union3d::geometry::{

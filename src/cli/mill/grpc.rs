@@ -223,11 +223,11 @@ impl GrpcStream {
 
     async fn acknowledged(&mut self) -> Result<Option<Cut>, Failure> {
         let answer = self.from.message().await;
-        self.take(answer).await
+        self.read(answer).await
     }
 
     /// What an answer says; a connection that broke is made anew.
-    async fn take(
+    async fn read(
         &mut self,
         answer: Result<Option<StreamChangesResponse>, Status>,
     ) -> Result<Option<Cut>, Failure> {

@@ -177,12 +177,12 @@ async fn mill(args: Args, settings: &Settings, (mut program, size): (Interpreter
         let (line, kind, time, next) = match event? {
             Event::Move(next) => {
                 let seconds = path::seconds(&next, rapid_rate(&args));
-                count.take(&next, seconds);
+                count.note(&next, seconds);
                 (next.line, kind(&next), seconds, Some(next))
             }
             Event::Dwell { line, seconds, .. } => (line, Kind::Dwell, Some(seconds), None),
             Event::Warning(warning) => {
-                warnings.take(warning, &bar);
+                warnings.add(warning, &bar);
                 continue;
             }
         };
@@ -217,9 +217,9 @@ async fn mill(args: Args, settings: &Settings, (mut program, size): (Interpreter
         out.flush().map_err(input::about(path))?;
     }
     let (cuts, mass_properties) = target.finish(settings).await?;
-    settle(&mut tally, &args, cuts)?;
+    book(&mut tally, &args, cuts)?;
     if count.feeds == 0 {
-        warnings.take(nothing_cut(&args)?, &bar);
+        warnings.add(nothing_cut(&args)?, &bar);
     }
     let cutting = tally.finish(&warnings.all).map_err(about_csv(&args))?;
     let seconds = started.elapsed().as_secs_f64();
@@ -278,7 +278,7 @@ struct Count {
 }
 
 impl Count {
-    fn take(&mut self, next: &Move, seconds: Option<f64>) {
+    fn note(&mut self, next: &Move, seconds: Option<f64>) {
         self.moves += 1;
         self.feeds += u64::from(next.motion != Motion::Rapid);
         self.moves_without_time += u64::from(seconds.is_none());
@@ -336,18 +336,18 @@ async fn send(
     args: &Args,
 ) -> Result<(), Box<dyn std::error::Error>> {
     for change in line.changes() {
-        settle(tally, args, target.send(change).await?)?;
+        book(tally, args, target.send(change).await?)?;
     }
     Ok(())
 }
 
-fn settle(
+fn book(
     tally: &mut Tally<'_>,
     args: &Args,
     cuts: Vec<tally::Cut>,
 ) -> Result<(), Box<dyn std::error::Error>> {
     for cut in cuts {
-        tally.take(cut).map_err(about_csv(args))?;
+        tally.add(cut).map_err(about_csv(args))?;
     }
     Ok(())
 }
@@ -533,7 +533,7 @@ pub(crate) struct Warnings {
 
 impl Warnings {
     /// Prints a warning, or counts it.
-    pub(crate) fn take(&mut self, warning: Warning, bar: &ProgressBar) {
+    pub(crate) fn add(&mut self, warning: Warning, bar: &ProgressBar) {
         let count = self.counts.entry(warning.code.clone()).or_default();
         *count += 1;
         if *count <= WARNINGS_MAX {

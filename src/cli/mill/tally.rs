@@ -125,8 +125,8 @@ impl<'file> Tally<'file> {
         }
     }
 
-    /// Takes the next line, or the next part of the same.
-    pub(super) fn take(&mut self, cut: Cut) -> csv::Result<()> {
+    /// Adds the next line, or the next part of the same.
+    pub(super) fn add(&mut self, cut: Cut) -> csv::Result<()> {
         if let Some(open) = &mut self.open
             && (open.line, open.kind) == (cut.line, cut.kind)
         {

@@ -8,7 +8,7 @@ use crate::engine::Op;
 use crate::geometry::{CubeId, Place};
 use crate::service::{Motion, Operations};
 use crate::wire::convert::{self, Settings};
-use crate::wire::documents::{Change, Cube, Id, Line, NewCube};
+use crate::wire::documents::{Change, Cube, Id, LineOperation, NewCube};
 use crate::wire::problem::{Code, Fault, Faults, Problem};
 
 /// Reads an atomic change from JSON: `{"delete":[17],"insert":[{"id":18,"at":[0,0,2.5]}]}`, both members optional.
@@ -54,9 +54,9 @@ pub fn change_faults(
 /// # Errors
 /// [`Code::BadJson`] or [`Code::Invalid`]; the caller knows the line's number.
 pub fn line(text: &[u8], settings: &Settings) -> Result<Op, Problem> {
-    let operation = |line: &Line<Cube>| match line {
-        Line::Delete(id) => Some(Op::Delete(id.id)),
-        Line::Insert(cube) => {
+    let operation = |line: &LineOperation<Cube>| match line {
+        LineOperation::Delete(id) => Some(Op::Delete(id.id)),
+        LineOperation::Insert(cube) => {
             let place = settings.place(cube.at).ok();
             place.map(|place| Op::Insert(cube.id.id, place))
         }
@@ -68,8 +68,8 @@ pub fn line(text: &[u8], settings: &Settings) -> Result<Op, Problem> {
     }
     let text = json::text(text).map_err(on_one_line)?;
     let raw = json::parse(&text).map_err(on_one_line)?;
-    let check = |line: &Line<Cube>, faults: &mut Faults| {
-        if let Line::Insert(cube) = line {
+    let check = |line: &LineOperation<Cube>, faults: &mut Faults| {
+        if let LineOperation::Insert(cube) = line {
             check_at(cube.at, "/insert/at", settings, faults);
         }
     };
@@ -83,24 +83,24 @@ pub fn line(text: &[u8], settings: &Settings) -> Result<Op, Problem> {
 /// fault with a place is not looked for.
 /// # Errors
 /// [`Code::BadJson`] or [`Code::Invalid`]; the caller knows the line's number.
-pub fn file_line(text: &[u8]) -> Result<Line<NewCube>, Problem> {
+pub fn file_line(text: &[u8]) -> Result<LineOperation<NewCube>, Problem> {
     // What can be read as one cannot be read as the other.
     if let Ok(cube) = serde_json::from_slice(text) {
-        return Ok(Line::Insert(cube));
+        return Ok(LineOperation::Insert(cube));
     }
     if let Ok(line) = serde_json::from_slice(text) {
         return Ok(line);
     }
     let text = json::text(text).map_err(on_one_line)?;
     let raw = json::parse(&text).map_err(on_one_line)?;
-    let (line, faults) = json::examine(raw, usize::MAX, |_: &Line<NewCube>, _| ());
+    let (line, faults) = json::examine(raw, usize::MAX, |_: &LineOperation<NewCube>, _| ());
     // A cube alone is known by the members that it should have.
     let is_line = faults.is_empty() || ["/id", "/at"].iter().all(|name| !faults.cover(name));
     if is_line {
         return json::complete(line, faults);
     }
     let (cube, faults) = json::examine(raw, usize::MAX, |_: &NewCube, _| ());
-    json::complete(cube.map(Line::Insert), faults)
+    json::complete(cube.map(LineOperation::Insert), faults)
 }
 
 /// The caller knows which line it is, here there is only one.

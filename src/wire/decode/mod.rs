@@ -54,7 +54,7 @@ fn note_settings(invalid: &[InvalidSetting], faults: &mut Faults) {
     }
 }
 
-/// Reads what to go back to: `{"to":3}`.
+/// Reads what to revert to: `{"to":3}`.
 /// # Errors
 /// [`Code::BadJson`], or [`Code::Invalid`] with every fault.
 pub fn revert(body: &[u8]) -> Result<Seq, Problem> {

@@ -40,19 +40,17 @@ pub(super) struct Calls {
 
 type Streamed<T> = Pin<Box<dyn Stream<Item = Result<T, Status>> + Send>>;
 
-type Answer<T> = Result<Response<T>, Status>;
-
 /// Answers in bounded time; a failure becomes a status, its faults placed in the field `body`.
 async fn bounded<T>(
     limits: &Limits,
     body: &str,
     work: impl Future<Output = Result<T, Problem>>,
-) -> Answer<T> {
+) -> tonic::Result<Response<T>> {
     let time = limits.request_timeout * 2 + limits.wait_max;
     answered(body, within(time, work).await)
 }
 
-fn answered<T>(body: &str, answer: Result<T, Problem>) -> Answer<T> {
+fn answered<T>(body: &str, answer: Result<T, Problem>) -> tonic::Result<Response<T>> {
     match answer {
         Ok(answer) => Ok(Response::new(answer)),
         Err(problem) => Err(status::status(&problem, body)),
@@ -64,7 +62,7 @@ impl UnionService for Calls {
     async fn create_scene(
         &self,
         request: Request<CreateSceneRequest>,
-    ) -> Answer<CreateSceneResponse> {
+    ) -> tonic::Result<Response<CreateSceneResponse>> {
         let CreateSceneRequest { scene, settings } = request.into_inner();
         bounded(&self.limits, "settings", async {
             let name = calls::scene_name(&scene)?;
@@ -76,7 +74,10 @@ impl UnionService for Calls {
         .await
     }
 
-    async fn get_scene(&self, request: Request<GetSceneRequest>) -> Answer<GetSceneResponse> {
+    async fn get_scene(
+        &self,
+        request: Request<GetSceneRequest>,
+    ) -> tonic::Result<Response<GetSceneResponse>> {
         let found = self.service.scene(&request.get_ref().scene);
         let found = found.map(|scene| GetSceneResponse {
             scene: Some(messages::scene(&scene)),
@@ -84,7 +85,10 @@ impl UnionService for Calls {
         answered("", found.map_err(Problem::from))
     }
 
-    async fn list_scenes(&self, _: Request<ListScenesRequest>) -> Answer<ListScenesResponse> {
+    async fn list_scenes(
+        &self,
+        _: Request<ListScenesRequest>,
+    ) -> tonic::Result<Response<ListScenesResponse>> {
         let scenes = self.service.scenes();
         Ok(Response::new(ListScenesResponse {
             scenes: scenes.iter().map(|scene| messages::scene(scene)).collect(),
@@ -94,7 +98,7 @@ impl UnionService for Calls {
     async fn delete_scene(
         &self,
         request: Request<DeleteSceneRequest>,
-    ) -> Answer<DeleteSceneResponse> {
+    ) -> tonic::Result<Response<DeleteSceneResponse>> {
         bounded(&self.limits, "", async {
             calls::remove(&self.service, &request.get_ref().scene).await?;
             Ok(DeleteSceneResponse {})
@@ -105,7 +109,7 @@ impl UnionService for Calls {
     async fn apply_change(
         &self,
         request: Request<ApplyChangeRequest>,
-    ) -> Answer<ApplyChangeResponse> {
+    ) -> tonic::Result<Response<ApplyChangeResponse>> {
         let request = request.into_inner();
         let work = async {
             let detail = Detail::of(request.detail)?;
@@ -127,7 +131,7 @@ impl UnionService for Calls {
     async fn stream_changes(
         &self,
         request: Request<Streaming<StreamChangesRequest>>,
-    ) -> Answer<Self::StreamChangesStream> {
+    ) -> tonic::Result<Response<Self::StreamChangesStream>> {
         let (limits, draining) = (self.limits, self.draining.clone());
         let answers = stream::open(&self.service, limits, draining, request.into_inner()).await?;
         Ok(Response::new(Box::pin(answers)))
@@ -136,7 +140,7 @@ impl UnionService for Calls {
     async fn revert_scene(
         &self,
         request: Request<RevertSceneRequest>,
-    ) -> Answer<RevertSceneResponse> {
+    ) -> tonic::Result<Response<RevertSceneResponse>> {
         let request = request.into_inner();
         let work = async {
             let detail = Detail::of(request.detail)?;
@@ -156,7 +160,7 @@ impl UnionService for Calls {
     async fn get_mass_properties(
         &self,
         request: Request<GetMassPropertiesRequest>,
-    ) -> Answer<GetMassPropertiesResponse> {
+    ) -> tonic::Result<Response<GetMassPropertiesResponse>> {
         let GetMassPropertiesRequest { scene, at, wait } = request.into_inner();
         bounded(&self.limits, "", async {
             let (scene, settings) = calls::open(&self.service, &scene)?;
@@ -174,7 +178,7 @@ impl UnionService for Calls {
     async fn watch_mass_properties(
         &self,
         request: Request<WatchMassPropertiesRequest>,
-    ) -> Answer<Self::WatchMassPropertiesStream> {
+    ) -> tonic::Result<Response<Self::WatchMassPropertiesStream>> {
         let opened = calls::open(&self.service, &request.get_ref().scene);
         let (scene, settings) = answered("", opened)?.into_inner();
         let draining = self.draining.clone();
@@ -213,7 +217,7 @@ impl UnionService for Calls {
     async fn get_history(
         &self,
         request: Request<GetHistoryRequest>,
-    ) -> Answer<Self::GetHistoryStream> {
+    ) -> tonic::Result<Response<Self::GetHistoryStream>> {
         let GetHistoryRequest {
             scene,
             from,
@@ -252,7 +256,7 @@ impl UnionService for Calls {
     async fn list_cubes(
         &self,
         request: Request<ListCubesRequest>,
-    ) -> Answer<Self::ListCubesStream> {
+    ) -> tonic::Result<Response<Self::ListCubesStream>> {
         let work = async {
             let (scene, _) = calls::open(&self.service, &request.get_ref().scene)?;
             Ok(scene.cubes().await?)
@@ -270,7 +274,10 @@ impl UnionService for Calls {
         })))
     }
 
-    async fn get_cube(&self, request: Request<GetCubeRequest>) -> Answer<GetCubeResponse> {
+    async fn get_cube(
+        &self,
+        request: Request<GetCubeRequest>,
+    ) -> tonic::Result<Response<GetCubeResponse>> {
         let GetCubeRequest { scene, id } = request.into_inner();
         bounded(&self.limits, "", async {
             let (scene, settings) = calls::open(&self.service, &scene)?;
@@ -281,7 +288,10 @@ impl UnionService for Calls {
         .await
     }
 
-    async fn contains(&self, request: Request<ContainsRequest>) -> Answer<ContainsResponse> {
+    async fn contains(
+        &self,
+        request: Request<ContainsRequest>,
+    ) -> tonic::Result<Response<ContainsResponse>> {
         let ContainsRequest { scene, at } = request.into_inner();
         bounded(&self.limits, "", async {
             let (scene, settings) = calls::open(&self.service, &scene)?;
@@ -301,7 +311,10 @@ impl UnionService for Calls {
         .await
     }
 
-    async fn audit_scene(&self, request: Request<AuditSceneRequest>) -> Answer<AuditSceneResponse> {
+    async fn audit_scene(
+        &self,
+        request: Request<AuditSceneRequest>,
+    ) -> tonic::Result<Response<AuditSceneResponse>> {
         let work = async {
             let (scene, settings) = calls::open(&self.service, &request.get_ref().scene)?;
             let (Seq(seq), cubes) = calls::audit(&scene, &settings).await?;

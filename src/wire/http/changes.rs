@@ -17,7 +17,7 @@ use crate::wire::atomic::{Atomic, Sent};
 use crate::wire::calls;
 use crate::wire::convert::{MassProperties, Settings, mass_properties};
 use crate::wire::decode;
-use crate::wire::documents::{Change, Cube, Id, IdForm, Line, Revert};
+use crate::wire::documents::{Change, Cube, Id, IdForm, LineOperation, Revert};
 use crate::wire::problem::{Fault, Problem};
 
 /// What a change did.
@@ -150,7 +150,7 @@ fn applied_answer(
     request_body(content(
         (Change = "application/json",
             example = json!({"delete": [17], "insert": [{"id": 18, "at": [0, 0, 2.5]}]})),
-        (inline(Line<Cube>) = "application/x-ndjson",
+        (inline(LineOperation<Cube>) = "application/x-ndjson",
             example = json!({"insert": {"id": 1, "at": [0, 0, 2.5]}})),
         (Vec<u8> = "application/x-protobuf"),
     )),

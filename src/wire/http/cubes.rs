@@ -20,7 +20,7 @@ use crate::geometry::CubeId;
 use crate::service::Scene;
 use crate::wire::calls;
 use crate::wire::convert::Settings;
-use crate::wire::documents::{Cube, IdForm, Line};
+use crate::wire::documents::{Cube, IdForm, LineOperation};
 use crate::wire::problem::{Fault, Problem};
 
 /// Cubes of a page when no limit is given, and the most that it holds.
@@ -76,7 +76,7 @@ pub(crate) struct CubePage {
     ),
     responses((status = 200, description = "Cubes", content(
         (CubePage = "application/json"),
-        (inline(Line<Cube>) = "application/x-ndjson", example = json!({"insert": {"id": 1, "at": [0.0, 0.0, 2.5]}})),
+        (inline(LineOperation<Cube>) = "application/x-ndjson", example = json!({"insert": {"id": 1, "at": [0.0, 0.0, 2.5]}})),
     )))
 )]
 pub(super) async fn get_cubes(
@@ -130,7 +130,7 @@ async fn all_cubes(
         for cubes in cubes.chunks(LISTED_CUBES) {
             let mut text = Vec::with_capacity(cubes.len() * 64);
             for cube in cubes {
-                let line = Line::Insert(Cube::new(*cube, ids, &settings));
+                let line = LineOperation::Insert(Cube::new(*cube, ids, &settings));
                 serde_json::to_writer(&mut text, &line).expect("numbers and strings are JSON");
                 text.push(b'\n');
             }

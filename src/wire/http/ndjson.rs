@@ -91,7 +91,7 @@ pub(super) async fn apply(
                 if waiting.operations.is_empty() {
                     end = Some(Err(slow_request(idle_max)));
                 }
-                // Otherwise the operations have lingered, and the loop's head sends them on.
+                // Otherwise the operations have lingered, and the beginning of the loop sends them on.
             }
         }
         quiet_since = Instant::now();
