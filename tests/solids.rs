@@ -11,6 +11,7 @@ mod random;
 #[path = "oracle/voxels.rs"]
 mod voxels;
 
+use std::num::NonZero;
 use std::sync::Arc;
 
 use ethnum::I256;
@@ -706,6 +707,99 @@ fn totals_are_a_function_of_the_set_alone() {
             }
             let context = format!("family {number}, seed {seed}");
             check_history(&mut random, None, &bodies, &context);
+        }
+    }
+}
+
+/// Deletes and inserts some of the bodies, which have their places for ids.
+fn random_effect(random: &mut Random, engine: &Engine, bodies: &[Body], share: i64) -> Effect {
+    let mut effect = Effect::default();
+    for (id, body) in (0..).map(SolidId).zip(bodies) {
+        if below(random, 100) >= share {
+            continue;
+        }
+        match engine.get(id) {
+            Some(there) => effect.deleted.push((id, there.clone())),
+            None => effect.inserted.push((id, body.clone())),
+        }
+    }
+    shuffle(random, &mut effect.inserted);
+    shuffle(random, &mut effect.deleted);
+    effect
+}
+
+fn random_stock(random: &mut Random, bodies: &[Body]) -> Option<Stock> {
+    let body = &bodies[usize::try_from(below(random, 2)).unwrap()];
+    (below(random, 2) == 0).then(|| Stock::new(body.part(0)).unwrap())
+}
+
+#[test]
+fn a_dry_run_says_what_a_change_would_do_and_changes_nothing() {
+    for number in 0..FAMILIES {
+        for seed in 0..rounds(60) {
+            let mut random = Random::new(seed * 100 + number as u64 + 2_000_000);
+            let mut bodies = family(number, &mut random);
+            bodies.push(bodies[0].clone());
+            let stock = random_stock(&mut random, &bodies);
+            // What is prepared is dropped at once, so that the dry run must make it anew.
+            let bytes = if seed % 3 == 0 { 0 } else { 1 << 20 };
+            let mut engine = Engine::new().with_stock(stock).with_prepared(bytes);
+            for _ in 0..6 {
+                let effect = random_effect(&mut random, &engine, &bodies, 40);
+                let state = |engine: &Engine| format!("{engine:?}");
+                let before = state(&engine);
+                let expected = engine.dry_run(&effect).unwrap();
+                assert!(state(&engine) == before, "family {number}, seed {seed}");
+                engine.apply(&effect).unwrap();
+                assert_eq!(expected, engine.totals(), "family {number}, seed {seed}");
+            }
+            let absent = SolidId(1_000);
+            let effect = Effect {
+                deleted: vec![(absent, bodies[0].clone())],
+                inserted: Vec::new(),
+            };
+            assert_eq!(engine.dry_run(&effect).unwrap_err().id, absent);
+        }
+    }
+}
+
+#[test]
+fn batches_on_several_threads_have_the_totals_of_one_by_one() {
+    for number in 0..FAMILIES {
+        for seed in 0..rounds(20) {
+            let mut random = Random::new(seed * 100 + number as u64 + 3_000_000);
+            let mut bodies = Vec::new();
+            while bodies.len() < 30 {
+                bodies.extend(family(number, &mut random));
+            }
+            bodies.push(bodies[0].clone());
+            let stock = random_stock(&mut random, &bodies);
+            let threads = NonZero::new(2 + seed as usize % 2).unwrap();
+            let one = NonZero::new(1).unwrap();
+            let engine = || Engine::new().with_stock(stock.clone());
+            let (mut batches, mut single) =
+                (engine().with_threads(threads), engine().with_threads(one));
+            if seed % 3 == 0 {
+                batches = batches.with_prepared(0);
+            }
+            let context = format!("family {number}, seed {seed}");
+            // Most come, many go and some come again, some more go: batches as long as they are, singly for the rest.
+            for share in [90, 80, 60, 10] {
+                let effect = random_effect(&mut random, &batches, &bodies, share);
+                batches.apply(&effect).unwrap();
+                single.apply(&effect).unwrap();
+                assert_eq!(batches.totals(), single.totals(), "{context}, {share} %");
+            }
+            let deleted = batches.solids().map(|(id, body)| (id, body.clone()));
+            let effect = Effect {
+                deleted: deleted.collect(),
+                inserted: Vec::new(),
+            };
+            batches.apply(&effect).unwrap();
+            let nothing = engine();
+            assert_eq!(batches.totals(), nothing.totals(), "{context}");
+            assert_eq!(batches.error_max(), nothing.error_max(), "{context}");
+            assert_eq!(batches.parts(), [0, 0], "{context}");
         }
     }
 }

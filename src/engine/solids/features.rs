@@ -84,10 +84,48 @@ impl Features {
         self.marks[usize::from(self.edges) + usize::from(facet)] = mark;
     }
 
-    /// Makes live what a piece stood witness for. Returns whether there was anything: the edges and the facets.
+    /// The witnesses' slots.
+    pub(super) fn witnesses(&self) -> impl Iterator<Item = u32> + '_ {
+        let used = |witness: &u32| *witness != FREE;
+        self.witnesses.iter().copied().filter(used)
+    }
+
+    /// The same with other slots of the witnesses.
+    pub(super) fn renumbered(&self, number: impl Fn(u32) -> u32) -> Self {
+        let renumber = |&witness: &u32| {
+            if witness == FREE {
+                FREE
+            } else {
+                number(witness)
+            }
+        };
+        Self {
+            marks: self.marks.clone(),
+            edges: self.edges,
+            witnesses: self.witnesses.iter().map(renumber).collect(),
+        }
+    }
+
+    /// What is live when some witnesses are not there; none when nothing is that is not so anyway. Without a list of witnesses: to be read.
+    pub(super) fn without_witnesses(&self, is_absent: impl Fn(u32) -> bool) -> Option<Self> {
+        let mut absent = [false; u8::MAX as usize + 1];
+        let mut is_any = false;
+        for (place, &witness) in self.witnesses.iter().enumerate() {
+            if witness != FREE && is_absent(witness) {
+                absent[place + 1] = true;
+                is_any = true;
+            }
+        }
+        let mark = |mark: &u8| if absent[usize::from(*mark)] { 0 } else { *mark };
+        is_any.then(|| Self {
+            marks: self.marks.iter().map(mark).collect(),
+            edges: self.edges,
+            witnesses: Vec::new(),
+        })
+    }
+
+    /// Makes live what a piece stood witness for, and adds these edges and facets to the lists.
     pub(super) fn lose(&mut self, witness: u32, edges: &mut Vec<u16>, facets: &mut Vec<u16>) {
-        edges.clear();
-        facets.clear();
         let Some(place) = self.witnesses.iter().position(|one| *one == witness) else {
             return;
         };

@@ -459,6 +459,13 @@ impl Ledger {
         books
     }
 
+    /// Counts the flags that another ledger rounded as its own, and no longer there.
+    pub(super) fn take_flags(&mut self, other: &mut Self) {
+        let Flags { count, class_max } = std::mem::take(&mut other.flags);
+        self.flags.count += count;
+        self.flags.class_max = self.flags.class_max.max(class_max);
+    }
+
     /// Counts the flags rounded so far for ever.
     pub(super) fn keep_flags(&mut self) {
         self.flags_kept = self.flags;

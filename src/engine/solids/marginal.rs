@@ -68,6 +68,11 @@ impl Kernel {
         }
     }
 
+    /// Counts the flags that another kernel rounded as its own, and no longer there.
+    pub(super) fn take_flags(&mut self, other: &mut Self) {
+        self.ledger.take_flags(&mut other.ledger);
+    }
+
     /// How far off all roundings so far can be together.
     pub(super) fn error_max(&self) -> ErrorMax {
         self.ledger.error_max()

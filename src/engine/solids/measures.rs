@@ -133,6 +133,36 @@ impl Extents {
         }
     }
 
+    /// The common box when some have gone that were there, and others have come. O(those that go, log all).
+    pub(super) fn bounds_after(
+        &self,
+        gone: impl Iterator<Item = Bounds>,
+        come: impl Iterator<Item = Bounds>,
+    ) -> Option<Bounds> {
+        let (mut without, mut with) = (Self::default(), Self::default());
+        gone.for_each(|bounds| without.insert(bounds));
+        come.for_each(|bounds| with.insert(bounds));
+        let stays = |(end, count): (&i32, &u32), gone: &BTreeMap<i32, u32>| {
+            (gone.get(end) != Some(count)).then_some(*end)
+        };
+        let least = |axis: usize| {
+            let mut here = self.min[axis].iter();
+            let here = here.find_map(|end| stays(end, &without.min[axis]));
+            let come = with.min[axis].first_key_value().map(|(end, _)| *end);
+            here.into_iter().chain(come).min()
+        };
+        let greatest = |axis: usize| {
+            let mut here = self.max[axis].iter().rev();
+            let here = here.find_map(|end| stays(end, &without.max[axis]));
+            let come = with.max[axis].last_key_value().map(|(end, _)| *end);
+            here.into_iter().chain(come).max()
+        };
+        Some(Bounds {
+            min: [least(0)?, least(1)?, least(2)?],
+            max: [greatest(0)?, greatest(1)?, greatest(2)?],
+        })
+    }
+
     /// The common box; none without any.
     pub(super) fn bounds(&self) -> Option<Bounds> {
         let least = |axis: usize| self.min[axis].first_key_value().map(|(end, _)| *end);

@@ -29,12 +29,14 @@
     reason = "points, directions and normals have the letters of the formulas"
 )]
 
+mod batch;
 mod bins;
 mod body;
 mod certify;
 mod clip;
 mod double;
 mod exact;
+mod excerpt;
 mod features;
 mod judge;
 mod lanes;
@@ -49,10 +51,13 @@ mod slots;
 mod stock;
 mod vector;
 mod witnesses;
+mod worker;
 
 use std::collections::BTreeMap;
+use std::num::NonZero;
 use std::ops::Bound;
 use std::sync::Arc;
+use std::thread::available_parallelism;
 
 use smallvec::SmallVec;
 
@@ -66,14 +71,14 @@ use clip::Arithmetic;
 use features::Features;
 pub use judge::{Judged, Op, Rejected};
 use lines::Member;
-use marginal::Kernel;
 use measures::Extents;
 pub use measures::{AREA_UNIT, ErrorMax, LENGTH_UNIT, Measures, Totals, VOLUME_UNIT};
 use piece::Piece;
 pub use recount::{recount, recount_exactly};
 use slots::{Part, Slots, State};
 pub use stock::{InvalidStock, STOCK_VERTICES_MAX, Stock};
-use witnesses::{Placed, Witnesses};
+use witnesses::Placed;
+use worker::Worker;
 
 /// Most bodies of a scene: `2^24`.
 pub const SOLIDS_MAX: u64 = 1 << 24;
@@ -129,25 +134,26 @@ pub struct Engine {
     stock: Option<Stock>,
     /// Measures of what remains of the stock; meaningless without one.
     rest: Measures,
-    kernel: Kernel,
-    witnesses: Witnesses,
     arithmetic: Arithmetic,
-    work: Work,
-}
-
-/// Memory that one operation after the other uses.
-#[derive(Debug, Default)]
-struct Work {
-    edges: Vec<u16>,
-    facets: Vec<u16>,
+    worker: Worker,
+    threads: usize,
+    /// A worker for each thread of a batch, once there was one.
+    helpers: Vec<Worker>,
 }
 
 /// A part in the neighbourhood of another.
 struct Neighbour {
     slot: u32,
     piece: Arc<Piece>,
-    /// Sum of the distances of the boxes' middles along the axes, twice.
-    distance: u64,
+}
+
+impl Neighbour {
+    fn placed(&self) -> Placed<'_> {
+        Placed {
+            piece: &self.piece,
+            slot: self.slot,
+        }
+    }
 }
 
 impl Default for Engine {
@@ -177,10 +183,10 @@ impl Engine {
             extents: Extents::default(),
             stock: None,
             rest: Measures::default(),
-            kernel: Kernel::new(arithmetic, None),
-            witnesses: Witnesses::default(),
             arithmetic,
-            work: Work::default(),
+            worker: Worker::new(arithmetic, None),
+            threads: available_parallelism().map_or(1, NonZero::get),
+            helpers: Vec::new(),
         }
     }
 
@@ -191,13 +197,22 @@ impl Engine {
         self
     }
 
+    /// The same with so many threads for a batch of bodies, instead of as many as there are processors: the same totals.
+    #[must_use]
+    pub fn with_threads(mut self, threads: NonZero<usize>) -> Self {
+        self.threads = threads.get();
+        self
+    }
+
     /// The same, cut from a stock: for an engine that has no bodies yet.
     #[must_use]
     pub fn with_stock(mut self, stock: Option<Stock>) -> Self {
         assert!(self.is_empty(), "a stock is there before the first body");
         let piece = stock.as_ref().map(|stock| Arc::clone(stock.piece()));
-        self.kernel = Kernel::new(self.arithmetic, piece.clone());
-        self.rest = piece.map_or(Measures::default(), |piece| self.kernel.begin(&piece));
+        self.worker = Worker::new(self.arithmetic, piece.clone());
+        self.helpers.clear();
+        let kernel = &mut self.worker.kernel;
+        self.rest = piece.map_or(Measures::default(), |piece| kernel.begin(&piece));
         self.stock = stock;
         self
     }
@@ -220,7 +235,7 @@ impl Engine {
     /// How far rounding can be off in the totals' measures, at most. It grows with every change, for nobody counts the flags that go, until
     /// the last body goes; without any it is that of the stock, or 0. O(1).
     pub fn error_max(&self) -> ErrorMax {
-        self.kernel.error_max()
+        self.worker.kernel.error_max()
     }
 
     /// Number of bodies. O(1).
@@ -269,32 +284,33 @@ impl Engine {
         range.map(|(_, entry)| (entry.id, &entry.body))
     }
 
-    /// Applies an effect, whole or not at all: deletions first. The only door through which state changes. O(bodies named), each in its
-    /// neighbourhood.
+    /// Applies an effect, whole or not at all: deletions first; many bodies on several threads. The only door through which state changes.
+    /// O(bodies named), each in its neighbourhood.
     /// # Errors
     /// [`Inconsistent`] when the effect does not fit; then nothing has changed.
     pub fn apply(&mut self, effect: &Effect) -> Result<(), Inconsistent> {
         self.check(effect)?;
-        for (id, _) in &effect.deleted {
-            self.delete(*id);
+        let threads = self.threads;
+        let is_batch = |bodies: &[_]| threads > 1 && bodies.len() >= batch::BATCH_MIN;
+        if is_batch(&effect.deleted) {
+            self.delete_batch(&effect.deleted);
+        } else {
+            for (id, _) in &effect.deleted {
+                self.delete(*id);
+            }
         }
-        for (id, body) in &effect.inserted {
-            self.insert(*id, body);
+        if self.is_empty() {
+            // All measures are those of nothing again, to the last unit.
+            self.worker.kernel.forget_flags();
+        }
+        if is_batch(&effect.inserted) {
+            self.insert_batch(&effect.inserted);
+        } else {
+            for (id, body) in &effect.inserted {
+                self.insert(*id, body);
+            }
         }
         Ok(())
-    }
-
-    /// What the totals would be after an effect; nothing changes. It takes as long as applying the effect and taking it back.
-    /// # Errors
-    /// As of [`Engine::apply`].
-    pub fn dry_run(&mut self, effect: &Effect) -> Result<Totals, Inconsistent> {
-        self.apply(effect)?;
-        let totals = self.totals();
-        self.apply(&Effect {
-            deleted: effect.inserted.clone(),
-            inserted: effect.deleted.clone(),
-        })?;
-        Ok(totals)
     }
 
     /// Whether an effect fits.
@@ -341,7 +357,7 @@ impl Engine {
         };
         self.bodies.insert(key, entry);
         for slot in slots {
-            if self.slots.is_prepared(slot) {
+            if self.slots.kept(slot).is_some() {
                 self.place(slot);
             }
         }
@@ -349,37 +365,37 @@ impl Engine {
     }
 
     fn delete(&mut self, id: SolidId) {
-        let entry = self.bodies.remove(&cursor(id)).expect("it was checked");
-        for (index, slot) in entry.slots.into_iter().enumerate() {
-            self.extents.remove(entry.body.part_bounds(index));
+        let Entry { body, slots, .. } = &self.bodies[&cursor(id)];
+        let (body, slots) = (body.clone(), slots.clone());
+        for (index, slot) in slots.into_iter().enumerate() {
+            self.extents.remove(body.part_bounds(index));
             self.displace(slot);
             self.slots.remove(slot);
         }
+        // Until now it may have been needed to prepare its parts.
+        self.bodies.remove(&cursor(id));
         self.slots.tidy();
-        if self.is_empty() {
-            // All measures are those of nothing again, to the last unit.
-            self.kernel.forget_flags();
-        }
     }
 
     /// The prepared piece of a slot.
     fn piece(&mut self, slot: u32) -> Arc<Piece> {
-        let Self {
-            bodies,
-            slots,
-            stock,
-            arithmetic,
-            ..
-        } = self;
-        slots.piece(slot, |part| {
-            let index = usize::try_from(part.index).expect("a body has few parts");
-            let body = &bodies[&part.body].body;
-            prepare(body, index, stock.as_ref(), *arithmetic).expect("it was not outside")
-        })
+        if let Some(piece) = self.slots.kept(slot) {
+            let piece = Arc::clone(piece);
+            return self.slots.piece(slot, |_| piece);
+        }
+        let piece = Arc::new(self.prepare_part(self.slots.part(slot)));
+        self.slots.piece(slot, |_| piece)
     }
 
-    /// The exposed parts that may touch a piece, nearest first.
-    fn gather(&mut self, piece: &Piece, except: u32) -> Vec<Neighbour> {
+    /// Prepares a part that is not outside of the stock.
+    fn prepare_part(&self, part: Part) -> Piece {
+        let index = usize::try_from(part.index).expect("a body has few parts");
+        let body = &self.bodies[&part.body].body;
+        prepare(body, index, self.stock.as_ref(), self.arithmetic).expect("it was not outside")
+    }
+
+    /// The exposed parts whose boxes meet that of a piece, nearest first.
+    fn near(&self, piece: &Piece, except: u32) -> Vec<u32> {
         let bounds = piece.bounds();
         let mut around = Vec::new();
         self.exposed.visit(&bounds, |slot, other| {
@@ -392,15 +408,17 @@ impl Engine {
             }
         });
         around.sort_unstable();
+        around.into_iter().map(|(_, slot)| slot).collect()
+    }
+
+    /// The exposed parts that may touch a piece, nearest first.
+    fn gather(&mut self, piece: &Piece, except: u32) -> Vec<Neighbour> {
+        let around = self.near(piece, except);
         let mut neighbours = Vec::with_capacity(around.len());
-        for (distance, slot) in around {
+        for slot in around {
             let other = self.piece(slot);
             if !piece.is_apart(&other) {
-                neighbours.push(Neighbour {
-                    slot,
-                    piece: other,
-                    distance,
-                });
+                neighbours.push(Neighbour { slot, piece: other });
             }
         }
         neighbours
@@ -419,7 +437,7 @@ impl Engine {
             if features.are_all_witnessed() {
                 break;
             }
-            self.testify(own, &mut features, other);
+            self.worker.testify(own, &mut features, other.placed());
         }
         let marginal = self.marginal(own, &features, &neighbours);
         if marginal.change.is_none() {
@@ -435,16 +453,7 @@ impl Engine {
         self.rest.add(&marginal.books.rest);
         for other in &neighbours {
             let mut features = std::mem::take(self.slots.features_mut(other.slot));
-            let placed = Placed {
-                piece: &other.piece,
-                slot: other.slot,
-            };
-            let new = Neighbour {
-                slot,
-                piece: Arc::clone(&piece),
-                distance: other.distance,
-            };
-            self.testify(placed, &mut features, &new);
+            self.worker.testify(other.placed(), &mut features, own);
             *self.slots.features_mut(other.slot) = features;
         }
         self.slots.set_state(slot, State::Exposed(features));
@@ -490,32 +499,15 @@ impl Engine {
         slot: u32,
     ) {
         let mut features = std::mem::take(self.slots.features_mut(of.slot));
-        let mut edges = std::mem::take(&mut self.work.edges);
-        let mut facets = std::mem::take(&mut self.work.facets);
-        features.lose(slot, &mut edges, &mut facets);
-        for (at, other) in neighbours.iter().enumerate() {
-            if edges.is_empty() && facets.is_empty() {
-                break;
+        if self.worker.lose(&mut features, [slot]) {
+            let others = neighbours.iter().enumerate();
+            for (_, other) in others.filter(|(at, _)| *at != index) {
+                let (own, other) = (of.placed(), other.placed());
+                if !self.worker.testify_again(own, &mut features, other) {
+                    break;
+                }
             }
-            if at == index {
-                continue;
-            }
-            let [own, other] = [of, other].map(|one| Placed {
-                piece: &one.piece,
-                slot: one.slot,
-            });
-            self.witnesses.testify(
-                self.arithmetic,
-                own,
-                &mut features,
-                (&edges, &facets),
-                other,
-            );
-            edges.retain(|edge| features.is_edge_live(usize::from(*edge)));
-            facets.retain(|facet| features.is_facet_live(*facet));
         }
-        self.work.edges = edges;
-        self.work.facets = facets;
         *self.slots.features_mut(of.slot) = features;
     }
 
@@ -548,26 +540,6 @@ impl Engine {
         }
     }
 
-    /// Marks the live features of a piece that another dominates.
-    fn testify(&mut self, own: Placed, features: &mut Features, other: &Neighbour) {
-        let mut edges = std::mem::take(&mut self.work.edges);
-        let mut facets = std::mem::take(&mut self.work.facets);
-        edges.clear();
-        facets.clear();
-        edges.extend(features.live_edges());
-        facets.extend(features.live_facets());
-        if !(edges.is_empty() && facets.is_empty()) {
-            let other = Placed {
-                piece: &other.piece,
-                slot: other.slot,
-            };
-            self.witnesses
-                .testify(self.arithmetic, own, features, (&edges, &facets), other);
-        }
-        self.work.edges = edges;
-        self.work.facets = facets;
-    }
-
     /// What a piece adds to the union of its neighbours.
     fn marginal(
         &mut self,
@@ -586,7 +558,7 @@ impl Engine {
             features: self.slots.features(other.slot),
             slot: other.slot,
         }));
-        self.kernel.marginal(&members)
+        self.worker.marginal(&members)
     }
 }
 

@@ -96,9 +96,14 @@ impl Slots {
             .expect("the slot is used")
     }
 
-    /// Whether its piece is prepared now; one outside never is.
-    pub(super) fn is_prepared(&self, slot: u32) -> bool {
-        self.record(slot).piece.is_some()
+    /// Its piece, if it is prepared now; that of one outside never is.
+    pub(super) fn kept(&self, slot: u32) -> Option<&Arc<Piece>> {
+        self.record(slot).piece.as_ref()
+    }
+
+    /// Which part it holds.
+    pub(super) fn part(&self, slot: u32) -> Part {
+        self.record(slot).part
     }
 
     pub(super) fn state(&self, slot: u32) -> &State {
@@ -126,13 +131,17 @@ impl Slots {
     }
 
     /// The prepared piece of a slot, made by `prepare` where it was dropped.
-    pub(super) fn piece(&mut self, slot: u32, prepare: impl FnOnce(Part) -> Piece) -> Arc<Piece> {
+    pub(super) fn piece(
+        &mut self,
+        slot: u32,
+        prepare: impl FnOnce(Part) -> Arc<Piece>,
+    ) -> Arc<Piece> {
         let record = self.record_mut(slot);
         record.is_recent = true;
         if let Some(piece) = &record.piece {
             return Arc::clone(piece);
         }
-        let piece = Arc::new(prepare(record.part));
+        let piece = prepare(record.part);
         record.piece = Some(Arc::clone(&piece));
         self.prepared += piece.size();
         piece
