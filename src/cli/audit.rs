@@ -34,7 +34,7 @@ pub(crate) fn run(args: Args) -> Outcome {
     writeln!(
         out,
         "{:width$}  {:>12}  {:>12}  {:>12}  result",
-        "scene", "seq", "cubes", "records"
+        "scene", "seq", "bodies", "records"
     )?;
     let mut wrong = 0_u32;
     for name in &names {
@@ -49,12 +49,12 @@ pub(crate) fn run(args: Args) -> Outcome {
                     records,
                     notices,
                 } = audited;
-                let equal = audit.kept == audit.recounted;
+                let equal = audit.is_equal();
                 writeln!(
                     out,
                     "{name:width$}  {:>12}  {:>12}  {records:>12}  {}",
-                    audit.seq.0,
-                    audit.kept.cubes,
+                    audit.seq().0,
+                    audit.bodies(),
                     if equal {
                         "equal to the recount"
                     } else {
@@ -66,8 +66,9 @@ pub(crate) fn run(args: Args) -> Outcome {
                 }
                 if !equal {
                     wrong += 1;
-                    writeln!(out, "{:width$}  kept:      {:?}", "", audit.kept)?;
-                    writeln!(out, "{:width$}  recounted: {:?}", "", audit.recounted)?;
+                    let [kept, recounted] = audit.shown();
+                    writeln!(out, "{:width$}  kept:      {kept}", "")?;
+                    writeln!(out, "{:width$}  recounted: {recounted}", "")?;
                 }
             }
             Err(error) => {

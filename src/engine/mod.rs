@@ -52,31 +52,31 @@ use kernel::{Kernel, Span};
 use neighbours::Neighbours;
 use prefetch::AHEAD;
 
-/// One operation on a scene's set of cubes.
+/// One operation on a scene's set of bodies (cubes, known by their places).
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub enum Op {
-    /// Delete the cube of this id; nothing happens when there is none.
+pub enum Op<Body = Place> {
+    /// Delete the body of this id; nothing happens when there is none.
     Delete(CubeId),
-    /// Insert a cube; nothing happens when this id is at this place already.
-    Insert(CubeId, Place),
+    /// Insert a body; nothing happens when this id has the same body already.
+    Insert(CubeId, Body),
 }
 
 /// How many operations did what.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 pub struct Counts {
-    /// Operations that inserted a cube.
+    /// Operations that inserted a body.
     pub inserted: u64,
-    /// Operations that deleted a cube.
+    /// Operations that deleted a body.
     pub deleted: u64,
     /// Operations that changed nothing.
     pub unchanged: u64,
 }
 
 /// The judgement of a sequence of operations that can be applied.
-#[derive(Clone, PartialEq, Eq, Debug, Default)]
-pub struct Judged {
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct Judged<Body = Place> {
     /// What to apply.
-    pub effect: Effect,
+    pub effect: Effect<Body>,
     /// Counts of the operations one after the other, as a stream reports them.
     pub in_order: Counts,
     /// Counts by net effect, as an atomic change reports them.

@@ -1,16 +1,25 @@
-//! Sets of cubes: the difference between two of them, and the totals of one.
+//! Sets of cubes or other bodies: the difference between two of them; and the totals of one.
 
 use super::lattice::{Bounds, CubeId, Place, Stock};
 use super::measures::Measures;
 
-/// The difference between two sets of cubes: an id that is at the same place in both is in neither list.
-/// A moved cube is in both. Order: by id's first appearance.
-#[derive(Clone, PartialEq, Eq, Debug, Default)]
-pub struct Effect {
-    /// Cubes that go, each with the place it leaves.
-    pub deleted: Vec<(CubeId, Place)>,
-    /// Cubes that come.
-    pub inserted: Vec<(CubeId, Place)>,
+/// The difference between two sets of bodies (cubes, known by their places): an id that has the same body in both is in neither
+/// list. A moved one is in both. Order: by id's first appearance.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct Effect<Body = Place> {
+    /// Bodies that go, each as it was.
+    pub deleted: Vec<(CubeId, Body)>,
+    /// Bodies that come.
+    pub inserted: Vec<(CubeId, Body)>,
+}
+
+impl<Body> Default for Effect<Body> {
+    fn default() -> Self {
+        Self {
+            deleted: Vec::new(),
+            inserted: Vec::new(),
+        }
+    }
 }
 
 /// The state of a scene's measures at one moment: a pure function of its set of cubes.

@@ -5,34 +5,34 @@
 use rusqlite::Connection;
 
 use super::LogError;
-use super::codec::{self, Cube, Encoder, count};
+use super::codec::{self, Encoder, count};
 use super::database::Database;
-use super::tables::{CHUNKS_MAX, Packed, Snapshot};
-use crate::geometry::{CUBES_MAX, Edge, Totals};
+use super::kind::{Cubes, Kind};
+use super::tables::{CHUNKS_MAX, Packed, Snapshot, chunk_number};
+use crate::geometry::{CUBES_MAX, CubeId};
 
-/// Cubes of a full chunk: what replay holds in memory at a time.
-const CHUNK_CUBES: usize = 1 << 16;
-const _: () = assert!(CUBES_MAX >> CHUNK_CUBES.ilog2() < CHUNKS_MAX);
+const _: () = assert!(CUBES_MAX >> Cubes::CHUNK_BODIES.ilog2() < CHUNKS_MAX);
 
 /// A snapshot that is being written: its chunks are there, its own row is not yet.
-pub(super) struct SnapshotWriter {
-    snapshot: Snapshot,
-    edge: Edge,
-    /// Cubes that do not fill a chunk yet.
-    waiting: Vec<Cube>,
+pub(super) struct SnapshotWriter<K: Kind> {
+    snapshot: Snapshot<K>,
+    /// As of the seq of the snapshot: its bodies stand on nothing later.
+    context: K::Context,
+    /// Bodies that do not fill a chunk yet.
+    waiting: Vec<(CubeId, K::Body)>,
     /// Reads back what was written: the writer's own connection would answer from its cache.
     reader: Connection,
     encoder: Encoder,
     bytes: Vec<u8>,
 }
 
-impl SnapshotWriter {
+impl<K: Kind> SnapshotWriter<K> {
     /// Begins a snapshot as of the newest seq, which has these totals.
     pub(super) fn begin(
         database: &mut Database,
-        edge: Edge,
+        context: &K::Context,
         at_ms: u64,
-        totals: &Totals,
+        totals: &K::Totals,
         next_id: u64,
     ) -> Result<Self, LogError> {
         let reader = database.reader()?;
@@ -53,7 +53,7 @@ impl SnapshotWriter {
                 operations_bytes: superblock.operations_bytes,
                 operations_cubes: superblock.operations_cubes,
             },
-            edge,
+            context: context.clone(),
             waiting: Vec::new(),
             reader,
             encoder: Encoder::new(),
@@ -61,17 +61,21 @@ impl SnapshotWriter {
         })
     }
 
-    /// Adds cubes, and writes the chunks that they fill.
-    pub(super) fn add(&mut self, database: &mut Database, cubes: &[Cube]) -> Result<(), LogError> {
-        self.waiting.extend_from_slice(cubes);
-        while self.waiting.len() >= CHUNK_CUBES {
-            self.write_chunk(database, CHUNK_CUBES)?;
+    /// Adds bodies, and writes the chunks that they fill.
+    pub(super) fn add(
+        &mut self,
+        database: &mut Database,
+        bodies: &[(CubeId, K::Body)],
+    ) -> Result<(), LogError> {
+        self.waiting.extend_from_slice(bodies);
+        while self.waiting.len() >= K::CHUNK_BODIES {
+            self.write_chunk(database, K::CHUNK_BODIES)?;
         }
         Ok(())
     }
 
     /// Writes what is left, and makes the snapshot the one to replay from.
-    pub(super) fn finish(mut self, database: &mut Database) -> Result<Snapshot, LogError> {
+    pub(super) fn finish(mut self, database: &mut Database) -> Result<Snapshot<K>, LogError> {
         if !self.waiting.is_empty() {
             self.write_chunk(database, self.waiting.len())?;
         }
@@ -88,14 +92,15 @@ impl SnapshotWriter {
         Ok(snapshot)
     }
 
-    /// Writes the first `cubes` of those that wait, and reads them back.
-    fn write_chunk(&mut self, database: &mut Database, cubes: usize) -> Result<(), LogError> {
-        let mut chunk: Vec<_> = self.waiting.drain(..cubes).collect();
-        // By id, differences are small; replay is free to take the cubes of a snapshot in any order.
-        chunk.sort_unstable_by_key(|&(id, _)| id);
+    /// Writes the first `bodies` of those that wait, and reads them back.
+    fn write_chunk(&mut self, database: &mut Database, bodies: usize) -> Result<(), LogError> {
+        let mut chunk: Vec<_> = self.waiting.drain(..bodies).collect();
+        // By id, differences are small; replay is free to take the bodies of a snapshot in any order.
+        chunk.sort_unstable_by_key(|(id, _)| *id);
         self.bytes.clear();
-        self.encoder.encode([&chunk], &mut self.bytes);
-        let id = Snapshot::chunk(self.snapshot.number, self.snapshot.chunks);
+        self.encoder
+            .encode::<K, 1>([&chunk], &self.context, &mut self.bytes);
+        let id = chunk_number(self.snapshot.number, self.snapshot.chunks);
         let packed = Packed {
             number: id,
             cubes: &self.bytes,
@@ -111,7 +116,7 @@ impl SnapshotWriter {
             .and_then(|mut statement| {
                 statement.query_row([id.cast_signed()], |row| {
                     Ok(Packed::chunk(row, database.seal)
-                        .and_then(|(packed, _)| codec::decode::<1>(packed.cubes, self.edge)))
+                        .and_then(|(packed, _)| codec::decode::<K, 1>(packed.cubes, &self.context)))
                 })
             })
             .map_err(database.site.sqlite(database.superblock.seq))?;

@@ -1,4 +1,4 @@
-//! The bytes of records: cubes as packed columns, totals as short integers.
+//! The bytes of records: bodies as packed columns, totals as short integers.
 //!
 //! Knows layouts only, never a file or a CRC. What it reads may be anything: every malformed input is an error, none a panic, and memory
 //! stays in proportion to what a valid input of that length could mean.
@@ -6,7 +6,7 @@
 //! ```text
 //! groups   version  encoding  count...  [raw length]  body
 //!          1 byte   1 byte    varints   varint        raw, or a zstd frame when that is shorter
-//! body     per group: ids  x  y  z                    each the difference to the cube before, folded to unsigned
+//! body     per group: ids, then what its kind has (cubes: x  y  z)    each the difference to the one before, folded to unsigned
 //! column   width  all lowest bytes  all second bytes  ...   `width` of them
 //! ```
 //! Bytes of equal weight lie together, so a column is as narrow as its largest difference without a bit of code per value, and
@@ -16,22 +16,19 @@ use std::io::Read;
 
 use ethnum::I256;
 
-use crate::geometry::{Bounds, CubeId, Edge, Measures, Place, Stock, StockMeasures, Totals};
+use super::kind::{Cubes, Kind, Named};
+use crate::geometry::{Bounds, CubeId, Measures, Stock, StockMeasures, Totals};
 
-/// Cube and id, as engine and service hand them over.
-pub(super) type Cube = (CubeId, Place);
-
-/// Most cubes in one record. A hundred thousand times what a client sends, and still a blob that SQLite takes (1e9 bytes).
+/// Most bodies in one record, a hull counted by its vertices, too. A hundred thousand times what a client sends, and still a blob that
+/// SQLite takes (1e9 bytes).
 pub const RECORD_CUBES_MAX: usize = 1 << 24;
 
-/// A difference of two coordinates, folded, takes 33 bits.
-const COORDINATE_BYTES_MAX: usize = 5;
 const ID_BYTES_MAX: usize = 8;
-const CUBE_BYTES_MAX: usize = ID_BYTES_MAX + 3 * COORDINATE_BYTES_MAX;
-const COLUMNS: usize = 4;
-const _: () = assert!(RECORD_CUBES_MAX * CUBE_BYTES_MAX < 1_000_000_000);
+/// Most columns of a group: each has a byte that says how wide it is.
+const COLUMNS_MAX: usize = 16;
+const _: () = assert!(RECORD_CUBES_MAX * (ID_BYTES_MAX + Cubes::BODY_BYTES_MAX) < 1_000_000_000);
 
-const CUBES_VERSION: u8 = 1;
+const BODIES_VERSION: u8 = 1;
 const TOTALS_VERSION: u8 = 1;
 const RAW: u8 = 0;
 const ZSTD: u8 = 1;
@@ -44,9 +41,9 @@ const WINDOW_LOG_MAX: u32 = 23;
 /// Bytes that are not what they should be.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, thiserror::Error)]
 #[error("{0}")]
-pub(super) struct Malformed(pub(super) &'static str);
+pub struct Malformed(pub &'static str);
 
-/// Packs cubes; holds the buffers that packing needs, so that a change of one cube allocates nothing.
+/// Packs bodies; holds the buffers that packing needs, so that a change of one cube allocates nothing.
 pub(super) struct Encoder {
     column: Vec<u64>,
     body: Vec<u8>,
@@ -63,12 +60,22 @@ impl Encoder {
         }
     }
 
-    /// Appends `groups` of cubes to `to`, in their order. O(cubes).
-    pub(super) fn encode<const N: usize>(&mut self, groups: [&[Cube]; N], to: &mut Vec<u8>) {
+    /// Appends `groups` of bodies to `to`, in their order. O(bodies).
+    pub(super) fn encode<K: Kind, const N: usize>(
+        &mut self,
+        groups: [&[Named<K>]; N],
+        context: &K::Context,
+        to: &mut Vec<u8>,
+    ) {
         self.body.clear();
         for group in groups {
             if !group.is_empty() {
-                self.encode_group(group);
+                let mut columns = ColumnWriter {
+                    column: &mut self.column,
+                    to: &mut self.body,
+                };
+                columns.put_differences(group.iter().map(|(id, _)| id.0.cast_signed()));
+                K::put_bodies(group, context, &mut columns);
             }
         }
         let compressed = if self.body.len() < COMPRESSED_BYTES_MIN {
@@ -78,7 +85,10 @@ impl Encoder {
             let compressed = self.compressor.compress(&self.body).ok();
             compressed.filter(|compressed| compressed.len() < self.body.len())
         };
-        to.extend([CUBES_VERSION, if compressed.is_some() { ZSTD } else { RAW }]);
+        to.extend([
+            BODIES_VERSION,
+            if compressed.is_some() { ZSTD } else { RAW },
+        ]);
         for group in groups {
             put_varint(to, count(group.len()));
         }
@@ -89,114 +99,126 @@ impl Encoder {
             to.extend_from_slice(&self.body);
         }
     }
+}
 
-    fn encode_group(&mut self, cubes: &[Cube]) {
+/// Appends columns of numbers.
+pub struct ColumnWriter<'a> {
+    /// Empty between two columns.
+    column: &'a mut Vec<u64>,
+    to: &'a mut Vec<u8>,
+}
+
+impl ColumnWriter<'_> {
+    /// Appends a column of small numbers.
+    pub fn put(&mut self, values: impl Iterator<Item = u64>) {
         self.column.clear();
-        let mut last = 0;
-        self.column.extend(cubes.iter().map(|(id, _)| {
-            let difference = id.0.wrapping_sub(last).cast_signed();
-            last = id.0;
+        self.column.extend(values);
+        put_column(self.to, self.column);
+    }
+
+    /// Appends a column of numbers that differ little from the one before.
+    pub fn put_differences(&mut self, values: impl Iterator<Item = i64>) {
+        let mut last = 0_i64;
+        self.put(values.map(|value| {
+            let difference = value.wrapping_sub(last);
+            last = value;
             fold(difference)
         }));
-        put_column(&mut self.body, &self.column);
-        for axis in 0..3 {
-            self.column.clear();
-            let mut last = 0;
-            self.column.extend(cubes.iter().map(|(_, place)| {
-                let coordinate = i64::from(place.corner()[axis]);
-                let difference = coordinate - last;
-                last = coordinate;
-                fold(difference)
-            }));
-            put_column(&mut self.body, &self.column);
-        }
     }
 }
 
-/// The groups of cubes that [`Encoder::encode`] packed.
+/// Takes columns of numbers from the front of bytes.
+pub struct ColumnReader<'a, 'b> {
+    reader: &'a mut Reader<'b>,
+    column: Vec<u64>,
+}
+
+impl ColumnReader<'_, '_> {
+    /// The next column: `count` numbers of at most `width_max` bytes.
+    /// # Errors
+    /// Whatever is no such column.
+    pub fn read(
+        &mut self,
+        count: usize,
+        width_max: usize,
+    ) -> Result<impl Iterator<Item = u64> + '_, Malformed> {
+        // Every column has at least one byte a body: a count that the bytes cannot back never becomes memory.
+        if count > self.reader.0.len() {
+            return Err(Malformed("fewer bytes than bodies"));
+        }
+        self.column.resize(count, 0);
+        read_column(self.reader, width_max, &mut self.column)?;
+        Ok(self.column.iter().copied())
+    }
+
+    /// The next column, of numbers as [`ColumnWriter::put_differences`] wrote them.
+    /// # Errors
+    /// Whatever is no such column.
+    pub fn read_differences(
+        &mut self,
+        count: usize,
+        width_max: usize,
+    ) -> Result<impl Iterator<Item = i64> + '_, Malformed> {
+        let mut value = 0_i64;
+        Ok(self.read(count, width_max)?.map(move |folded| {
+            value = value.wrapping_add(unfold(folded));
+            value
+        }))
+    }
+}
+
+/// The groups of bodies that [`Encoder::encode`] packed.
 /// # Errors
-/// Whatever is not such a packing of cubes of `edge`.
-pub(super) fn decode<const N: usize>(
+/// Whatever is not such a packing of bodies that stand on `context`.
+pub(super) fn decode<K: Kind, const N: usize>(
     bytes: &[u8],
-    edge: Edge,
-) -> Result<[Vec<Cube>; N], Malformed> {
+    context: &K::Context,
+) -> Result<[Vec<Named<K>>; N], Malformed> {
     let mut reader = Reader(bytes);
-    if reader.byte()? != CUBES_VERSION {
-        return Err(Malformed("cubes of an unknown version"));
+    if reader.byte()? != BODIES_VERSION {
+        return Err(Malformed("bodies of an unknown version"));
     }
     let encoding = reader.byte()?;
     let mut counts = [0; N];
     let mut total = 0_usize;
     for count in &mut counts {
-        *count = usize::try_from(reader.varint()?).map_err(|_| Malformed("too many cubes"))?;
+        *count = usize::try_from(reader.varint()?).map_err(|_| Malformed("too many bodies"))?;
         total = total.saturating_add(*count);
     }
     if total > RECORD_CUBES_MAX {
-        return Err(Malformed("too many cubes"));
+        return Err(Malformed("too many bodies"));
     }
     let decompressed;
     let mut body = match encoding {
         RAW => reader,
         ZSTD => {
-            decompressed = decompress(&mut reader, N * COLUMNS + total * CUBE_BYTES_MAX)?;
+            let size_max = N * COLUMNS_MAX + total * (ID_BYTES_MAX + K::BODY_BYTES_MAX);
+            decompressed = decompress(&mut reader, size_max)?;
             Reader(&decompressed)
         }
-        _ => return Err(Malformed("cubes in an unknown encoding")),
+        _ => return Err(Malformed("bodies in an unknown encoding")),
     };
     let mut groups = [const { Vec::new() }; N];
-    let mut column = Vec::new();
+    let mut columns = ColumnReader {
+        reader: &mut body,
+        column: Vec::new(),
+    };
     for (group, count) in groups.iter_mut().zip(counts) {
         if count > 0 {
-            *group = decode_group(&mut body, count, edge, &mut column)?;
+            let ids = columns.read_differences(count, ID_BYTES_MAX)?;
+            let ids = ids.map(|id| CubeId(id.cast_unsigned())).collect();
+            *group = K::read_bodies(ids, context, &mut columns)?;
         }
     }
     body.finish()?;
     Ok(groups)
 }
 
-fn decode_group(
-    reader: &mut Reader<'_>,
-    count: usize,
-    edge: Edge,
-    column: &mut Vec<u64>,
-) -> Result<Vec<Cube>, Malformed> {
-    // Every column has at least one byte per cube: a count that the bytes cannot back never becomes memory.
-    if count > reader.0.len() / COLUMNS {
-        return Err(Malformed("fewer bytes than cubes"));
-    }
-    column.resize(count, 0);
-    read_column(reader, ID_BYTES_MAX, column)?;
-    let mut id = 0_u64;
-    let ids: Vec<u64> = column
-        .iter()
-        .map(|&folded| {
-            id = id.wrapping_add(unfold(folded).cast_unsigned());
-            id
-        })
-        .collect();
-    let mut corners = vec![[0_i64; 3]; count];
-    for axis in 0..3 {
-        read_column(reader, COORDINATE_BYTES_MAX, column)?;
-        let mut coordinate = 0_i64;
-        for (corner, &folded) in corners.iter_mut().zip(&*column) {
-            coordinate = coordinate.wrapping_add(unfold(folded));
-            corner[axis] = coordinate;
-        }
-    }
-    ids.into_iter()
-        .zip(corners)
-        .map(|(id, corner)| match Place::new(corner, edge) {
-            Ok(place) => Ok((CubeId(id), place)),
-            Err(_) => Err(Malformed("a cube outside the lattice")),
-        })
-        .collect()
-}
-
 fn decompress(reader: &mut Reader<'_>, size_max: usize) -> Result<Vec<u8>, Malformed> {
     let malformed = |_| Malformed("a zstd frame that cannot be read");
     let size = usize::try_from(reader.varint()?).map_err(|_| Malformed("too long"))?;
     if size > size_max {
-        return Err(Malformed("more bytes than its cubes can take"));
+        return Err(Malformed("more bytes than its bodies can take"));
     }
     let mut decoder = zstd::stream::read::Decoder::with_buffer(reader.0).map_err(malformed)?;
     decoder.window_log_max(WINDOW_LOG_MAX).map_err(malformed)?;
@@ -295,13 +317,13 @@ fn put_measures(to: &mut Vec<u8>, measures: &Measures) {
     }
 }
 
-fn put_bounds(to: &mut Vec<u8>, bounds: &Bounds) {
+pub(crate) fn put_bounds(to: &mut Vec<u8>, bounds: &Bounds) {
     for coordinate in bounds.min.iter().chain(&bounds.max) {
         to.extend(coordinate.to_le_bytes());
     }
 }
 
-fn read_bounds(reader: &mut Reader<'_>) -> Result<Bounds, Malformed> {
+pub(crate) fn read_bounds(reader: &mut Reader<'_>) -> Result<Bounds, Malformed> {
     let mut corners = [[0; 3]; 2];
     for coordinate in corners.as_flattened_mut() {
         *coordinate = i32::from_le_bytes(reader.array()?);
@@ -336,7 +358,7 @@ pub(super) fn stock(bytes: &[u8]) -> Result<Option<Stock>, Malformed> {
 }
 
 /// Appends a volume.
-pub(super) fn put_volume(to: &mut Vec<u8>, volume: i128) {
+pub(crate) fn put_volume(to: &mut Vec<u8>, volume: i128) {
     put_i128(to, volume);
 }
 
@@ -357,12 +379,12 @@ pub(super) fn read_volume(reader: &mut Reader<'_>) -> Result<i128, Malformed> {
     reader.i128()
 }
 
-/// The totals that [`put_totals`] wrote, and nothing after them.
+/// The totals that a kind wrote, and nothing after them.
 /// # Errors
 /// Whatever is not that.
-pub(super) fn totals(bytes: &[u8]) -> Result<Totals, Malformed> {
+pub(super) fn totals<K: Kind>(bytes: &[u8]) -> Result<K::Totals, Malformed> {
     let mut reader = Reader(bytes);
-    let totals = read_totals(&mut reader)?;
+    let totals = K::read_totals(&mut reader)?;
     reader.finish()?;
     Ok(totals)
 }
@@ -428,7 +450,7 @@ fn put_i128(to: &mut Vec<u8>, number: i128) {
 }
 
 /// Two's complement without the high bytes that only repeat the sign.
-fn put_signed(to: &mut Vec<u8>, bytes: &[u8]) {
+pub(crate) fn put_signed(to: &mut Vec<u8>, bytes: &[u8]) {
     let negative = bytes.last().is_some_and(|&highest| highest >= 0x80);
     let filler = if negative { 0xFF } else { 0 };
     let mut length = bytes.len();
@@ -443,7 +465,7 @@ fn put_signed(to: &mut Vec<u8>, bytes: &[u8]) {
 }
 
 /// Appends an unsigned number, seven bits a byte, lowest first.
-pub(super) fn put_varint(to: &mut Vec<u8>, mut number: u64) {
+pub(crate) fn put_varint(to: &mut Vec<u8>, mut number: u64) {
     while number >= 0x80 {
         to.push(number.to_le_bytes()[0] | 0x80);
         number >>= 7;
@@ -451,15 +473,15 @@ pub(super) fn put_varint(to: &mut Vec<u8>, mut number: u64) {
     to.push(number.to_le_bytes()[0]);
 }
 
-pub(super) fn count(count: usize) -> u64 {
+pub(crate) fn count(count: usize) -> u64 {
     u64::try_from(count).expect("a count fits 64 bits")
 }
 
 /// Takes bytes from the front of a slice.
-pub(super) struct Reader<'a>(pub(super) &'a [u8]);
+pub struct Reader<'a>(pub(crate) &'a [u8]);
 
 impl<'a> Reader<'a> {
-    pub(super) fn bytes(&mut self, count: usize) -> Result<&'a [u8], Malformed> {
+    pub(crate) fn bytes(&mut self, count: usize) -> Result<&'a [u8], Malformed> {
         let (taken, rest) = self
             .0
             .split_at_checked(count)
@@ -468,18 +490,18 @@ impl<'a> Reader<'a> {
         Ok(taken)
     }
 
-    pub(super) fn array<const N: usize>(&mut self) -> Result<[u8; N], Malformed> {
+    pub(crate) fn array<const N: usize>(&mut self) -> Result<[u8; N], Malformed> {
         Ok(*self
             .bytes(N)?
             .first_chunk()
             .expect("exactly N bytes were taken"))
     }
 
-    pub(super) fn byte(&mut self) -> Result<u8, Malformed> {
+    pub(crate) fn byte(&mut self) -> Result<u8, Malformed> {
         self.array().map(|[byte]| byte)
     }
 
-    pub(super) fn varint(&mut self) -> Result<u64, Malformed> {
+    pub(crate) fn varint(&mut self) -> Result<u64, Malformed> {
         let mut number = 0;
         for shift in (0..u64::BITS).step_by(7) {
             let byte = self.byte()?;
@@ -495,7 +517,7 @@ impl<'a> Reader<'a> {
         Err(Malformed("a number of more than 64 bits"))
     }
 
-    fn signed<const N: usize>(&mut self) -> Result<[u8; N], Malformed> {
+    pub(crate) fn signed<const N: usize>(&mut self) -> Result<[u8; N], Malformed> {
         let length = usize::from(self.byte()?);
         if length > N {
             return Err(Malformed("a number that is too wide"));
@@ -507,15 +529,15 @@ impl<'a> Reader<'a> {
         Ok(number)
     }
 
-    fn i128(&mut self) -> Result<i128, Malformed> {
+    pub(crate) fn i128(&mut self) -> Result<i128, Malformed> {
         self.signed().map(i128::from_le_bytes)
     }
 
-    fn i64(&mut self) -> Result<i64, Malformed> {
+    pub(crate) fn i64(&mut self) -> Result<i64, Malformed> {
         self.signed().map(i64::from_le_bytes)
     }
 
-    pub(super) fn finish(self) -> Result<(), Malformed> {
+    pub(crate) fn finish(self) -> Result<(), Malformed> {
         if self.0.is_empty() {
             Ok(())
         } else {
@@ -527,6 +549,9 @@ impl<'a> Reader<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::{Edge, Place};
+
+    type Cube = (CubeId, Place);
     use crate::random::Random;
 
     fn edge() -> Edge {
@@ -539,7 +564,7 @@ mod tests {
 
     fn encoded<const N: usize>(groups: [&[Cube]; N]) -> Vec<u8> {
         let mut bytes = Vec::new();
-        Encoder::new().encode(groups, &mut bytes);
+        Encoder::new().encode::<Cubes, N>(groups, &edge(), &mut bytes);
         bytes
     }
 
@@ -596,7 +621,7 @@ mod tests {
         ] {
             let bytes = encoded([deleted, inserted]);
             assert_eq!(
-                decode(&bytes, edge()),
+                decode::<Cubes, 2>(&bytes, &edge()),
                 Ok([deleted.to_vec(), inserted.to_vec()])
             );
         }
@@ -615,7 +640,7 @@ mod tests {
         for expected in [Totals::default(), extreme_totals()] {
             let mut bytes = Vec::new();
             put_totals(&mut bytes, &expected);
-            assert_eq!(totals(&bytes), Ok(expected));
+            assert_eq!(totals::<Cubes>(&bytes), Ok(expected));
         }
     }
 
@@ -645,34 +670,34 @@ mod tests {
         ] {
             for length in 0..good.len() {
                 assert!(
-                    decode::<2>(&good[..length], edge()).is_err(),
+                    decode::<Cubes, 2>(&good[..length], &edge()).is_err(),
                     "cut at {length}"
                 );
             }
-            assert!(decode::<2>(&[&good[..], &[0]].concat(), edge()).is_err());
+            assert!(decode::<Cubes, 2>(&[&good[..], &[0]].concat(), &edge()).is_err());
             for _ in 0..20_000 {
                 let mut bad = good.clone();
                 let at = random.below(bad.len().min(64));
                 bad[at] ^= random.next().to_le_bytes()[0];
                 // Without a CRC a flipped byte may well be another valid packing; it must only not panic.
-                drop(decode::<2>(&bad, edge()));
+                drop(decode::<Cubes, 2>(&bad, &edge()));
             }
         }
-        let mut forged = vec![CUBES_VERSION, RAW];
+        let mut forged = vec![BODIES_VERSION, RAW];
         put_varint(&mut forged, count(RECORD_CUBES_MAX));
-        assert!(decode::<1>(&forged, edge()).is_err());
+        assert!(decode::<Cubes, 1>(&forged, &edge()).is_err());
         put_varint(&mut forged, u64::MAX);
-        assert!(decode::<2>(&forged, edge()).is_err());
+        assert!(decode::<Cubes, 2>(&forged, &edge()).is_err());
         let mut good = Vec::new();
         put_totals(&mut good, &extreme_totals());
         for length in 0..good.len() {
-            assert!(totals(&good[..length]).is_err());
+            assert!(totals::<Cubes>(&good[..length]).is_err());
         }
         for _ in 0..20_000 {
             let mut bad = good.clone();
             let at = random.below(bad.len());
             bad[at] = random.next().to_le_bytes()[0];
-            let _ = totals(&bad);
+            let _ = totals::<Cubes>(&bad);
         }
     }
 }

@@ -6,8 +6,10 @@
 use rusqlite::config::DbConfig;
 use rusqlite::{Connection, OpenFlags, Transaction, TransactionBehavior};
 
-use super::files::{APPLICATION_ID, CommitMarker, CommitMarkerFile, FORMAT, Site};
-use super::tables::{Meta, Seal, Superblock, TABLES};
+use super::codec::count;
+use super::files::{APPLICATION_ID, CommitMarker, CommitMarkerFile, Site};
+use super::kind::Kind;
+use super::tables::{Definitions, Meta, Seal, Superblock, tables};
 use super::{LogError, Seq};
 
 /// SQLite cuts its write-ahead file down to this when it begins it anew.
@@ -26,24 +28,34 @@ pub(super) struct Database {
 
 impl Database {
     /// Fills an empty directory with the database of a scene without changes, and closes it.
-    pub(super) fn create(site: &Site, meta: &Meta) -> Result<(), LogError> {
+    pub(super) fn create<K: Kind>(
+        site: &Site,
+        meta: &Meta,
+        definitions: &[Box<[u8]>],
+    ) -> Result<(), LogError> {
         let flags = OpenFlags::SQLITE_OPEN_READ_WRITE
             | OpenFlags::SQLITE_OPEN_CREATE
             | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let connection = Connection::open_with_flags(&site.database, flags);
         let connection = connection.map_err(site.sqlite(Seq(0)))?;
-        let superblock = Superblock::NEW;
+        let superblock = Superblock {
+            definitions: K::DEFINES.then_some(count(definitions.len())),
+            ..Superblock::NEW
+        };
         let build = || {
             // Both can only be chosen for an empty file; incremental so that `trim` can give pages back.
             connection.pragma_update(None, "auto_vacuum", "INCREMENTAL")?;
             connection.pragma_update(None, "application_id", APPLICATION_ID)?;
-            connection.pragma_update(None, "user_version", FORMAT)?;
+            connection.pragma_update(None, "user_version", K::FORMAT)?;
             configure_writer(&connection)?;
             let transaction = connection.unchecked_transaction()?;
-            for (_, table) in TABLES {
+            for (_, table) in tables(K::DEFINES) {
                 transaction.execute(table, [])?;
             }
             meta.insert(&transaction)?;
+            for (number, definition) in (0..).zip(definitions) {
+                Definitions::insert(&transaction, meta.seal(), number, definition)?;
+            }
             superblock.write(&transaction, meta.seal())?;
             transaction.commit()
         };
@@ -61,7 +73,7 @@ impl Database {
     }
 
     /// Opens the database of a scene and checks everything but its rows.
-    pub(super) fn open(site: Site) -> Result<(Self, Meta), LogError> {
+    pub(super) fn open<K: Kind>(site: Site) -> Result<(Self, Meta), LogError> {
         let seq = site.marked_seq();
         let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let connection = Connection::open_with_flags(&site.database, flags);
@@ -72,7 +84,7 @@ impl Database {
             .and_then(|_| configure_writer(&connection))
             .map_err(site.sqlite(seq))?;
         check_settings(&site, &connection, seq)?;
-        check_schema(&site, &connection, seq)?;
+        check_schema::<K>(&site, &connection, seq)?;
         let meta = Meta::read(&connection)
             .map_err(site.sqlite(seq))?
             .map_err(|error| site.damaged(seq, format_args!("its settings: {error}")))?;
@@ -212,7 +224,7 @@ fn check_settings(site: &Site, connection: &Connection, seq: Seq) -> Result<(), 
 }
 
 /// Compares the schema word for word: a table that reads differently could still answer, and wrongly.
-fn check_schema(site: &Site, connection: &Connection, seq: Seq) -> Result<(), LogError> {
+fn check_schema<K: Kind>(site: &Site, connection: &Connection, seq: Seq) -> Result<(), LogError> {
     let read = || {
         connection
             .prepare("SELECT name, sql FROM sqlite_schema ORDER BY rowid")?
@@ -220,8 +232,8 @@ fn check_schema(site: &Site, connection: &Connection, seq: Seq) -> Result<(), Lo
             .collect::<rusqlite::Result<Vec<(String, String)>>>()
     };
     let found = read().map_err(site.sqlite(seq))?;
-    let found = found.iter().map(|(name, sql)| (&**name, &**sql));
-    if found.eq(TABLES) {
+    let expected = tables(K::DEFINES).map(|(name, sql)| (name.to_owned(), sql.to_owned()));
+    if found.into_iter().eq(expected) {
         Ok(())
     } else {
         Err(site.damaged(seq, "its schema"))

@@ -22,8 +22,6 @@ pub const TEMPORARY_PREFIX: &str = ".union3d-temporary-";
 
 /// Written into the header of every database file: "un3d".
 pub(super) const APPLICATION_ID: i32 = 0x756e_3364;
-/// Version of the layout of the files. A change that an older program would misread needs a new one.
-pub(super) const FORMAT: i32 = 3;
 
 const MAGIC: &[u8; 16] = b"SQLite format 3\0";
 const HEADER_SIZE: usize = 100;
@@ -149,7 +147,7 @@ impl Site {
 
     /// Checks the start of the database file before SQLite sees it: SQLite would take an empty file for a new database and
     /// delete its write-ahead file. Answers the size of a page.
-    pub(super) fn check_database_header(&self) -> Result<usize, LogError> {
+    pub(super) fn check_database_header(&self, format: i32) -> Result<usize, LogError> {
         let mut bytes = Vec::new();
         File::open(&self.database)
             .and_then(|file| {
@@ -175,9 +173,9 @@ impl Site {
                 "not the log of a union3d scene, or damaged in its first bytes".to_owned(),
             ));
         }
-        if number(60) != FORMAT {
+        if number(60) != format {
             return Err(self.foreign(format!(
-                "the log is of format {}, this program knows {FORMAT}",
+                "the log is of format {}, this program knows {format}",
                 number(60)
             )));
         }
@@ -204,6 +202,14 @@ impl Site {
     pub(super) fn marked_seq(&self) -> Seq {
         self.commit_marker().unwrap_or_default().seq
     }
+}
+
+/// The format of the log in a directory: which kind of scene it is of. None when its file cannot be read or does not tell.
+pub fn format_of(directory: &Path) -> Option<i32> {
+    let mut header = [0; HEADER_SIZE];
+    let mut file = fs::File::open(Site::new(directory).database).ok()?;
+    file.read_exact(&mut header).ok()?;
+    Some(i32::from_be_bytes(*header[60..].first_chunk()?))
 }
 
 /// How far the log had come when something was last answered for.

@@ -3,6 +3,7 @@
 use std::io::Read;
 
 use super::codec::{self, Encoder};
+use super::kind::Cubes;
 use super::wal::{self, WriteAhead};
 use crate::geometry::Edge;
 
@@ -19,9 +20,9 @@ pub fn codec(bytes: &[u8]) {
         b'o' => groups::<2>(body),
         b'k' => groups::<1>(body),
         b't' => {
-            if let Ok(totals) = codec::totals(body) {
+            if let Ok(totals) = codec::totals::<Cubes>(body) {
                 codec::put_totals(&mut again, &totals);
-                assert_eq!(codec::totals(&again), Ok(totals));
+                assert_eq!(codec::totals::<Cubes>(&again), Ok(totals));
             }
         }
         b's' => {
@@ -40,11 +41,11 @@ pub fn codec(bytes: &[u8]) {
 
 fn groups<const N: usize>(body: &[u8]) {
     let edge = Edge::new(3).expect("an edge");
-    if let Ok(groups) = codec::decode::<N>(body, edge) {
+    if let Ok(groups) = codec::decode::<Cubes, N>(body, &edge) {
         let mut again = Vec::new();
         let cubes = std::array::from_fn(|index| &*groups[index]);
-        Encoder::new().encode::<N>(cubes, &mut again);
-        assert_eq!(codec::decode(&again, edge), Ok(groups));
+        Encoder::new().encode::<Cubes, N>(cubes, &edge, &mut again);
+        assert_eq!(codec::decode::<Cubes, N>(&again, &edge), Ok(groups));
     }
 }
 

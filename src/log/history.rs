@@ -8,20 +8,21 @@ use rusqlite::{Connection, Transaction};
 
 use super::database::read_superblock;
 use super::files::Site;
+use super::kind::{Cubes, Kind};
 use super::tables::{Changes, Seal, Superblock, ordered};
 use super::{HistoryRow, LogError, Motion, Seq};
-use crate::geometry::{Stock, Totals};
 
 /// A scene's history, on a connection of its own: reading never waits for the writer.
-pub struct HistoryReader {
+pub struct HistoryReader<K: Kind = Cubes> {
     site: Site,
     connection: Connection,
     seal: Seal,
-    stock: Option<Stock>,
+    /// The totals of the empty scene.
+    nothing: K::Totals,
     created_ms: u64,
 }
 
-impl fmt::Debug for HistoryReader {
+impl<K: Kind> fmt::Debug for HistoryReader<K> {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         formatter
             .debug_struct("HistoryReader")
@@ -30,19 +31,19 @@ impl fmt::Debug for HistoryReader {
     }
 }
 
-impl HistoryReader {
+impl<K: Kind> HistoryReader<K> {
     pub(super) fn new(
         site: Site,
         connection: Connection,
         seal: Seal,
-        stock: Option<Stock>,
+        nothing: K::Totals,
         created_ms: u64,
     ) -> Self {
         Self {
             site,
             connection,
             seal,
-            stock,
+            nothing,
             created_ms,
         }
     }
@@ -58,14 +59,14 @@ impl HistoryReader {
     /// The row of one seq; none when it is not kept. Seq 0 is the empty scene.
     /// # Errors
     /// [`LogError::Damaged`] when the row is missing or not what was written.
-    pub fn at(&self, seq: Seq) -> Result<Option<HistoryRow>, LogError> {
+    pub fn at(&self, seq: Seq) -> Result<Option<HistoryRow<K>>, LogError> {
         Ok(self.rows(seq, seq, 1)?.pop())
     }
 
     /// Rows from `from` to `to` (both included), oldest first, at most `limit`. Begins with the oldest that is kept.
     /// # Errors
     /// [`LogError::Damaged`] when a row is missing or not what was written.
-    pub fn rows(&self, from: Seq, to: Seq, limit: usize) -> Result<Vec<HistoryRow>, LogError> {
+    pub fn rows(&self, from: Seq, to: Seq, limit: usize) -> Result<Vec<HistoryRow<K>>, LogError> {
         let (_transaction, superblock) = self.moment()?;
         let first = from.max(oldest(&superblock));
         let last = to.min(superblock.seq);
@@ -91,7 +92,7 @@ impl HistoryReader {
         to: Seq,
         moves: [u64; 2],
         limit: usize,
-    ) -> Result<Vec<HistoryRow>, LogError> {
+    ) -> Result<Vec<HistoryRow<K>>, LogError> {
         /// Of so many rows the order by seq is quickly made from the index by move; of more, the table is read in its order.
         const INDEXED_ROWS_MAX: i64 = 8_192;
         let (_transaction, superblock) = self.moment()?;
@@ -132,7 +133,7 @@ impl HistoryReader {
     }
 
     /// Appends every change from `first` to before `end`, all of which are kept.
-    fn read(&self, first: u64, end: u64, to: &mut Vec<HistoryRow>) -> Result<(), LogError> {
+    fn read(&self, first: u64, end: u64, to: &mut Vec<HistoryRow<K>>) -> Result<(), LogError> {
         let sqlite = self.site.sqlite(Seq(first));
         let mut statement = self
             .connection
@@ -171,7 +172,7 @@ impl HistoryReader {
         Ok((transaction, superblock))
     }
 
-    fn empty_scene(&self) -> HistoryRow {
+    fn empty_scene(&self) -> HistoryRow<K> {
         HistoryRow {
             seq: Seq(0),
             at_ms: self.created_ms,
@@ -179,7 +180,7 @@ impl HistoryReader {
             deleted: 0,
             motion: Motion::default(),
             volume_removed: 0,
-            totals: Totals::of_nothing(self.stock),
+            totals: self.nothing,
         }
     }
 }

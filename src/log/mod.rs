@@ -1,6 +1,6 @@
 //! The log of a scene: what was answered survives everything but the loss of the disk.
 //!
-//! Knows records, snapshots, SQLite and CRCs. Never knows the engine, async or the wire.
+//! Knows records, snapshots, SQLite and CRCs. Never knows the engine, async or the wire; nor, but for cubes, what a body is (`kind`).
 //!
 //! ```text
 //!   append ──> changes, operations, keys ──┐                         ┌──> replay: chunks, then later changes
@@ -25,6 +25,7 @@ mod files;
 #[doc(hidden)]
 pub mod fuzzing;
 mod history;
+mod kind;
 mod replay;
 mod revert;
 mod scene;
@@ -35,13 +36,16 @@ mod wal;
 
 use std::path::PathBuf;
 
-use crate::geometry::{CubeId, Effect, Place, Stock, Totals};
+use crate::geometry::{CubeId, Effect, Stock};
 
-pub use codec::RECORD_CUBES_MAX;
-pub use files::{TEMPORARY_PREFIX, create_directories, remove_leftovers, remove_scene};
+pub use codec::{ColumnReader, ColumnWriter, Malformed, RECORD_CUBES_MAX, Reader};
+pub(crate) use codec::{put_bounds, put_signed, put_varint, read_bounds};
+pub use files::{TEMPORARY_PREFIX, create_directories, format_of, remove_leftovers, remove_scene};
 pub use history::HistoryReader;
+pub(crate) use kind::COORDINATE_BYTES_MAX;
+pub use kind::{Cubes, Kind};
 pub use revert::Step;
-pub use scene::SceneLog;
+pub use scene::{Log, SceneLog};
 
 /// Number of a change in its scene: 1 for the first; 0 is the empty scene before it.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Default)]
@@ -65,26 +69,26 @@ impl Motion {
 
 /// One accepted change.
 #[derive(Clone, PartialEq, Eq, Debug)]
-pub struct Record {
+pub struct Record<K: Kind = Cubes> {
     /// Its number.
     pub seq: Seq,
     /// When it was accepted, in milliseconds since 1970.
     pub at_ms: u64,
-    /// What it did to the set of cubes.
-    pub effect: Effect,
-    /// The seq whose cubes it has brought back, when it is a revert.
+    /// What it did to the set of bodies.
+    pub effect: Effect<K::Body>,
+    /// The seq whose bodies it has brought back, when it is a revert.
     pub reverts_to: Option<Seq>,
     /// What it belongs to.
     pub motion: Motion,
-    /// Volume it removed from the stock, or added to the union where there is no stock. Units: steps cubed.
+    /// Volume it removed from the stock, or added to the union where there is no stock. Units: as of the kind's totals (cubes: steps cubed).
     pub volume_removed: i128,
     /// The totals after it.
-    pub totals: Totals,
+    pub totals: K::Totals,
 }
 
 /// What was answered to a change, so that a retry with the same key is answered the same.
 #[derive(Clone, PartialEq, Eq, Debug)]
-pub struct RecordedOutcome {
+pub struct RecordedOutcome<K: Kind = Cubes> {
     /// The scene's seq after the change.
     pub seq: Seq,
     /// When that was, in milliseconds since 1970.
@@ -100,18 +104,18 @@ pub struct RecordedOutcome {
     /// As of the record; 0 when there is none.
     pub volume_removed: i128,
     /// Totals at `seq`.
-    pub totals: Totals,
+    pub totals: K::Totals,
 }
 
 /// An idempotency key with what it stands for.
 #[derive(Clone, PartialEq, Eq, Debug)]
-pub struct KeyRecord {
+pub struct KeyRecord<K: Kind = Cubes> {
     /// The client's key, at most 64 bytes.
     pub key: Box<str>,
     /// SHA-256 of the body it came with.
     pub body: [u8; 32],
     /// What was answered.
-    pub answer: RecordedOutcome,
+    pub answer: RecordedOutcome<K>,
 }
 
 /// What is fixed when a scene is created.
@@ -119,7 +123,7 @@ pub struct KeyRecord {
 pub struct Header {
     /// Random name of this life of the scene: differs when a scene is dropped and created again.
     pub incarnation: u64,
-    /// Edge in steps.
+    /// Edge in steps; 0 where bodies are no cubes.
     pub edge_steps: u32,
     /// The material that is cut, if any.
     pub stock: Option<Stock>,
@@ -129,14 +133,14 @@ pub struct Header {
 
 /// What a replay meets, in this order: the newest snapshot (if any), its chunks, its end, then changes by seq.
 #[derive(Debug)]
-pub enum Replayed<'a> {
+pub enum Replayed<'a, K: Kind = Cubes> {
     /// There is a snapshot.
     SnapshotBegin {
-        /// How many live cubes it has.
+        /// How many live bodies it has.
         cubes: u64,
     },
-    /// Some live cubes of the snapshot.
-    Cubes(&'a [(CubeId, Place)]),
+    /// Some live bodies of the snapshot.
+    Cubes(&'a [(CubeId, K::Body)]),
     /// The snapshot is complete: the totals must be these.
     SnapshotEnd {
         /// Seq of the snapshot.
@@ -144,12 +148,12 @@ pub enum Replayed<'a> {
         /// Time of that seq.
         at_ms: u64,
         /// Totals at that seq.
-        totals: &'a Totals,
+        totals: &'a K::Totals,
         /// The next id the server may give.
         next_id: u64,
     },
     /// One change: after it the totals must be the record's.
-    Change(&'a Record),
+    Change(&'a Record<K>),
 }
 
 /// Why the log did not do what it was asked.
@@ -206,19 +210,19 @@ pub struct Keep {
 
 /// One row of the history.
 #[derive(Clone, PartialEq, Eq, Debug)]
-pub struct HistoryRow {
+pub struct HistoryRow<K: Kind = Cubes> {
     /// Number of the change.
     pub seq: Seq,
     /// Its time, ms since 1970.
     pub at_ms: u64,
-    /// Cubes it inserted.
+    /// Bodies it inserted.
     pub inserted: u64,
-    /// Cubes it deleted.
+    /// Bodies it deleted.
     pub deleted: u64,
     /// What it belongs to.
     pub motion: Motion,
-    /// Volume it removed from the stock, or added to the union where there is no stock. Units: steps cubed.
+    /// Volume it removed from the stock, or added to the union where there is no stock. Units: as of the kind's totals (cubes: steps cubed).
     pub volume_removed: i128,
     /// Totals after it.
-    pub totals: Totals,
+    pub totals: K::Totals,
 }

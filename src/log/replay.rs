@@ -7,7 +7,8 @@ use rusqlite::{Connection, Row};
 
 use super::codec::{self, count};
 use super::database::Database;
-use super::scene::SceneLog;
+use super::kind::{Kind, Named};
+use super::scene::Log;
 use super::tables::{Changes, Packed, Snapshot};
 use super::{LogError, Record, Replayed, Seq};
 use crate::geometry::Effect;
@@ -15,7 +16,7 @@ use crate::geometry::Effect;
 /// What is said when the rebuilt state differs from the recorded totals.
 const DIFFERS: &str = "the totals rebuilt from the cubes differ from those recorded";
 
-impl SceneLog {
+impl<K: Kind> Log<K> {
     /// Everything that is needed to rebuild the scene. `progress` gets a fraction in parts per thousand.
     /// `visit` answers false when the state it rebuilt differs from the totals it was shown.
     /// # Errors
@@ -24,7 +25,7 @@ impl SceneLog {
     pub fn replay(
         &mut self,
         progress: &mut dyn FnMut(u32),
-        visit: &mut dyn FnMut(Replayed<'_>) -> bool,
+        visit: &mut dyn FnMut(Replayed<'_, K>) -> bool,
     ) -> Result<(), LogError> {
         self.check_structure("quick_check")?;
         self.check_ends()?;
@@ -59,7 +60,7 @@ impl SceneLog {
         let mut expected = superblock.changes_first;
         self.each("SELECT * FROM changes ORDER BY seq", [], |row| {
             let seq = expect(&mut expected, &mut progress);
-            match Changes::parse(row, *seal) {
+            match Changes::parse::<K>(row, *seal) {
                 Ok(row) if row.seq == seq => Ok(()),
                 Ok(_) => Err(site.damaged(seq, "the change is missing")),
                 Err(error) => Err(site.damaged(seq, format_args!("the totals: {error}"))),
@@ -148,9 +149,9 @@ impl SceneLog {
 
     fn replay_snapshot(
         &self,
-        snapshot: &Snapshot,
+        snapshot: &Snapshot<K>,
         progress: &mut Progress<'_>,
-        visit: &mut dyn FnMut(Replayed<'_>) -> bool,
+        visit: &mut dyn FnMut(Replayed<'_, K>) -> bool,
     ) -> Result<(), LogError> {
         let begin = Replayed::SnapshotBegin {
             cubes: snapshot.cubes,
@@ -176,8 +177,8 @@ impl SceneLog {
     /// Reads the chunks of a snapshot in their order; `visit` answers false when they do not fit together.
     fn chunks(
         &self,
-        snapshot: &Snapshot,
-        visit: &mut dyn FnMut(&[codec::Cube]) -> bool,
+        snapshot: &Snapshot<K>,
+        visit: &mut dyn FnMut(&[Named<K>]) -> bool,
     ) -> Result<(), LogError> {
         let Database { site, seal, .. } = &self.database;
         let damaged = |what: &dyn std::fmt::Display| {
@@ -191,8 +192,8 @@ impl SceneLog {
             [first, end],
             |row| {
                 let (packed, cubes) = Packed::chunk(row, *seal).map_err(|error| damaged(&error))?;
-                let [chunk] =
-                    codec::decode(packed.cubes, self.edge).map_err(|error| damaged(&error))?;
+                let [chunk] = codec::decode::<K, _>(packed.cubes, &self.context)
+                    .map_err(|error| damaged(&error))?;
                 if packed.number != expected || cubes != count(chunk.len()) {
                     return Err(damaged(&"a chunk is missing"));
                 }
@@ -216,7 +217,7 @@ impl SceneLog {
     fn replay_changes(
         &self,
         progress: &mut Progress<'_>,
-        visit: &mut dyn FnMut(Replayed<'_>) -> bool,
+        visit: &mut dyn FnMut(Replayed<'_, K>) -> bool,
     ) -> Result<(), LogError> {
         let Database { site, seal, .. } = &self.database;
         let from = self.snapshot.as_ref().map_or(0, |snapshot| snapshot.seq.0);
@@ -229,7 +230,7 @@ impl SceneLog {
         self.each(&sql, [from.cast_signed()], |row| {
             let seq = Seq(expected);
             expected += 1;
-            let change = match Changes::parse(row, *seal) {
+            let change = match Changes::parse::<K>(row, *seal) {
                 Ok(change) if change.seq == seq => change,
                 Ok(_) => return Err(site.damaged(seq, "the change is missing")),
                 Err(error) => return Err(site.damaged(seq, format_args!("the totals: {error}"))),
@@ -266,14 +267,15 @@ impl SceneLog {
         row: &Row<'_>,
         first: usize,
         seq: Seq,
-    ) -> Result<Effect, LogError> {
+    ) -> Result<Effect<K::Body>, LogError> {
         let Database { site, seal, .. } = &self.database;
         let damaged = |error| site.damaged(seq, format_args!("the cubes: {error}"));
         let packed = Packed::operations(row, first, *seal).map_err(damaged)?;
         if packed.number != seq.0 {
             return Err(site.damaged(seq, "the cubes of the change are missing"));
         }
-        let [deleted, inserted] = codec::decode(packed.cubes, self.edge).map_err(damaged)?;
+        let [deleted, inserted] =
+            codec::decode::<K, _>(packed.cubes, &self.context).map_err(damaged)?;
         Ok(Effect { deleted, inserted })
     }
 

@@ -10,20 +10,21 @@
 //!        └─ (5) ── 6 ── 7     from 7 to 4: undo 7 and 6, redo 3 and 4; what 5 did is not read
 //! ```
 
-use super::scene::SceneLog;
+use super::kind::{Cubes, Kind};
+use super::scene::Log;
 use super::{LogError, Seq};
 use crate::geometry::Effect;
 
 /// A change on the way from one state to another.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub enum Step<'a> {
+#[derive(Clone, Copy, Debug)]
+pub enum Step<'a, K: Kind = Cubes> {
     /// It is taken back.
-    Undo(&'a Effect),
+    Undo(&'a Effect<K::Body>),
     /// It is done again.
-    Redo(&'a Effect),
+    Redo(&'a Effect<K::Body>),
 }
 
-impl SceneLog {
+impl<K: Kind> Log<K> {
     /// Oldest seq that can be reverted to: the operations of every later change are kept.
     pub fn oldest_reachable(&self) -> Seq {
         Seq(self.database.superblock.operations_first - 1)
@@ -33,7 +34,7 @@ impl SceneLog {
     /// apart, and changes between them).
     /// # Errors
     /// [`LogError::Damaged`] when a record is missing or not what was written.
-    pub fn way_to(&self, to: Seq, visit: &mut dyn FnMut(Step<'_>)) -> Result<(), LogError> {
+    pub fn way_to(&self, to: Seq, visit: &mut dyn FnMut(Step<'_, K>)) -> Result<(), LogError> {
         assert!(
             self.oldest_reachable() <= to && to <= self.seq(),
             "operations that were dropped are not asked for"
@@ -70,7 +71,7 @@ impl SceneLog {
         Ok(origin)
     }
 
-    fn effect(&self, seq: Seq) -> Result<Effect, LogError> {
+    fn effect(&self, seq: Seq) -> Result<Effect<K::Body>, LogError> {
         let sql = "SELECT * FROM operations WHERE seq = ?";
         self.one(sql, seq, |row| self.operations(row, 0, seq))
     }

@@ -9,27 +9,29 @@ use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use super::chunks::SnapshotWriter;
-use super::codec::{Encoder, RECORD_CUBES_MAX, count, put_totals};
+use super::codec::{Encoder, Malformed, RECORD_CUBES_MAX, count};
 use super::database::{Database, generation_without_write_ahead};
 use super::files::{CommitMarker, Site, create_whole};
 use super::history::HistoryReader;
-use super::tables::{CHUNKS_MAX, Changes, Keys, Meta, Packed, Snapshot};
+use super::kind::{Cubes, Kind};
+use super::tables::{CHUNKS_MAX, Changes, Definitions, Keys, Meta, Packed, Snapshot};
 use super::wal::{self, WriteAhead};
 use super::{Header, HistoryRow, Keep, KeyRecord, LogError, Record, Seq};
-use crate::geometry::{Edge, Effect};
+use crate::geometry::Effect;
 
 /// A scene's log in one SQLite database. There is one writer: the service holds a lock on the data directory.
 ///
 /// After an error of [`Self::append`] nothing of it has happened, unless the process or the machine dies next: then what was
 /// not answered for may turn out to be there after all, whole, as with any commit whose answer was lost.
-pub struct SceneLog {
+pub struct Log<K: Kind> {
     pub(super) database: Database,
     pub(super) meta: Meta,
-    pub(super) edge: Edge,
+    /// What bodies stand on.
+    pub(super) context: K::Context,
     pub(super) keep: Keep,
     /// The one to replay from.
-    pub(super) snapshot: Option<Snapshot>,
-    pub(super) under_way: Option<SnapshotWriter>,
+    pub(super) snapshot: Option<Snapshot<K>>,
+    pub(super) under_way: Option<SnapshotWriter<K>>,
     /// Whether there may be chunks that belong to neither.
     pub(super) chunks_left_over: bool,
     /// Number of every key in the table.
@@ -38,21 +40,36 @@ pub struct SceneLog {
     pub(super) bytes: Vec<u8>,
 }
 
-impl fmt::Debug for SceneLog {
+/// The log of a scene of cubes.
+pub type SceneLog = Log<Cubes>;
+
+impl<K: Kind> fmt::Debug for Log<K> {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         formatter
-            .debug_struct("SceneLog")
+            .debug_struct("Log")
             .field("site", &self.database.site)
             .field("superblock", &self.database.superblock)
             .finish_non_exhaustive()
     }
 }
 
-impl SceneLog {
+impl<K: Kind> Log<K> {
     /// Creates the scene's directory and log, durably, appearing whole (temporary name, then rename).
     /// # Errors
     /// [`LogError::Failed`] when the directory is there already, otherwise the disk's.
     pub fn create(directory: &Path, header: &Header, keep: Keep) -> Result<Self, LogError> {
+        Self::create_with(directory, header, &[], keep)
+    }
+
+    /// The same, with definitions from the start.
+    /// # Errors
+    /// As of [`Self::create`].
+    pub fn create_with(
+        directory: &Path,
+        header: &Header,
+        definitions: &[Box<[u8]>],
+        keep: Keep,
+    ) -> Result<Self, LogError> {
         let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH);
         let meta = Meta {
             header: header.clone(),
@@ -62,7 +79,7 @@ impl SceneLog {
                 .unwrap_or(0),
         };
         create_whole(directory, |temporary| {
-            Database::create(&Site::new(temporary), &meta)
+            Database::create::<K>(&Site::new(temporary), &meta, definitions)
         })?;
         let (mut log, _) = Self::open(directory, keep)?;
         log.database.checkpoint()?;
@@ -77,7 +94,7 @@ impl SceneLog {
     /// [`LogError::Damaged`] and [`LogError::Foreign`] when the files are not what they were.
     pub fn open(directory: &Path, keep: Keep) -> Result<(Self, Vec<String>), LogError> {
         let site = Site::new(directory);
-        let page_size = site.check_database_header()?;
+        let page_size = site.check_database_header(K::FORMAT)?;
         let write_ahead =
             wal::inspect(&site.write_ahead(), page_size).map_err(|error| site.io(&error))?;
         if let WriteAhead::Broken { detail, frame } = write_ahead {
@@ -88,7 +105,7 @@ impl SceneLog {
             ));
         }
         let commit_marker = site.commit_marker();
-        let (database, meta) = Database::open(site)?;
+        let (database, meta) = Database::open::<K>(site)?;
         let (site, superblock) = (&database.site, &database.superblock);
         if write_ahead != WriteAhead::Empty
             && generation_without_write_ahead(site, database.seal)
@@ -105,12 +122,12 @@ impl SceneLog {
             superblock.generation,
             superblock.seq,
         );
-        let edge = Edge::new(i64::from(meta.header.edge_steps))
-            .map_err(|error| site.damaged(superblock.seq, error))?;
+        let context =
+            K::context(&meta.header).map_err(|error| site.damaged(superblock.seq, error))?;
         let mut log = Self {
             database,
             meta,
-            edge,
+            context,
             keep,
             snapshot: None,
             under_way: None,
@@ -119,6 +136,7 @@ impl SceneLog {
             encoder: Encoder::new(),
             bytes: Vec::new(),
         };
+        log.load_definitions()?;
         log.load_snapshot()?;
         log.load_keys()?;
         Ok((log, notices))
@@ -129,7 +147,7 @@ impl SceneLog {
     /// [`LogError::Full`] or [`LogError::Failed`].
     /// # Panics
     /// When the records do not continue the log without a gap, or a key is there already.
-    pub fn append(&mut self, records: &[Record], keys: &[KeyRecord]) -> Result<(), LogError> {
+    pub fn append(&mut self, records: &[Record<K>], keys: &[KeyRecord<K>]) -> Result<(), LogError> {
         if records.is_empty() && keys.is_empty() {
             return Ok(());
         }
@@ -145,6 +163,7 @@ impl SceneLog {
         self.check_sizes(records)?;
         let Self {
             database,
+            context,
             encoder,
             bytes,
             ..
@@ -153,7 +172,7 @@ impl SceneLog {
             for record in records {
                 let Effect { deleted, inserted } = &record.effect;
                 bytes.clear();
-                encoder.encode([deleted, inserted], bytes);
+                encoder.encode::<K, 2>([deleted, inserted], context, bytes);
                 let operations = Packed {
                     number: record.seq.0,
                     cubes: bytes,
@@ -162,7 +181,7 @@ impl SceneLog {
                 superblock.seq = record.seq;
                 superblock.operations_bytes += count(bytes.len());
                 superblock.operations_cubes += count(deleted.len()) + count(inserted.len());
-                let row = HistoryRow {
+                let row = HistoryRow::<K> {
                     seq: record.seq,
                     at_ms: record.at_ms,
                     inserted: count(inserted.len()),
@@ -172,7 +191,7 @@ impl SceneLog {
                     totals: record.totals,
                 };
                 bytes.clear();
-                put_totals(bytes, &row.totals);
+                K::put_totals(bytes, &row.totals);
                 Changes::insert(connection, seal, &row, bytes)?;
             }
             for record in keys {
@@ -185,6 +204,29 @@ impl SceneLog {
         self.keys
             .extend(keys.iter().map(|record| record.key.clone()).zip(numbers));
         Ok(())
+    }
+
+    /// Appends a definition, and returns once it is on stable storage. It takes no seq.
+    /// # Errors
+    /// [`LogError::Full`] or [`LogError::Failed`].
+    /// # Panics
+    /// When it cannot come next: ask [`Kind::define`] first.
+    pub fn define(&mut self, definition: &[u8]) -> Result<(), LogError> {
+        let mut context = self.context.clone();
+        K::define(&mut context, definition).expect("its kind was asked before");
+        self.database.transact(|connection, seal, superblock| {
+            let number = superblock.definitions.expect("the kind defines");
+            Definitions::insert(connection, seal, number, definition)?;
+            superblock.definitions = Some(number + 1);
+            Ok(())
+        })?;
+        self.context = context;
+        Ok(())
+    }
+
+    /// What bodies stand on: all definitions so far.
+    pub fn context(&self) -> &K::Context {
+        &self.context
     }
 
     /// What was fixed at creation.
@@ -205,7 +247,7 @@ impl SceneLog {
     /// The answer recorded for a key, with the body's hash, if it is kept. Looks in memory first: no I/O for unknown keys.
     /// # Errors
     /// [`LogError::Damaged`] when its row is not what was written.
-    pub fn key(&self, key: &str) -> Result<Option<KeyRecord>, LogError> {
+    pub fn key(&self, key: &str) -> Result<Option<KeyRecord<K>>, LogError> {
         let Some(&number) = self.keys.get(key) else {
             return Ok(None);
         };
@@ -245,14 +287,57 @@ impl SceneLog {
     /// A reader of the history.
     /// # Errors
     /// The disk's.
-    pub fn history(&self) -> Result<HistoryReader, LogError> {
+    pub fn history(&self) -> Result<HistoryReader<K>, LogError> {
         Ok(HistoryReader::new(
             self.database.site.clone(),
             self.database.reader()?,
             self.database.seal,
-            self.meta.header.stock,
+            K::nothing(&self.meta.header),
             self.meta.created_ms,
         ))
+    }
+
+    fn load_definitions(&mut self) -> Result<(), LogError> {
+        let Some(count) = self.database.superblock.definitions else {
+            return Ok(());
+        };
+        let Database {
+            site,
+            connection,
+            seal,
+            superblock,
+            ..
+        } = &self.database;
+        let context = &mut self.context;
+        let mut expected = 0;
+        let mut read = || -> rusqlite::Result<Result<(), Malformed>> {
+            let mut statement = connection.prepare("SELECT * FROM definitions ORDER BY number")?;
+            let mut rows = statement.query([])?;
+            while let Some(row) = rows.next()? {
+                let defined = Definitions::parse(row, *seal).and_then(|(number, definition)| {
+                    if number != expected {
+                        return Err(Malformed("it is missing"));
+                    }
+                    K::define(context, definition)
+                });
+                if let Err(error) = defined {
+                    return Ok(Err(error));
+                }
+                expected += 1;
+            }
+            Ok(if expected == count {
+                Ok(())
+            } else {
+                Err(Malformed("it is missing"))
+            })
+        };
+        let found = read().map_err(site.sqlite(superblock.seq))?;
+        found.map_err(|error| {
+            site.damaged(
+                superblock.seq,
+                format_args!("definition {expected}: {error}"),
+            )
+        })
     }
 
     fn load_snapshot(&mut self) -> Result<(), LogError> {
@@ -311,7 +396,7 @@ impl SceneLog {
             let mut statement = connection.prepare("SELECT * FROM keys ORDER BY number")?;
             let mut rows = statement.query([])?;
             while let Some(row) = rows.next()? {
-                match Keys::parse(row, *seal) {
+                match Keys::parse::<K>(row, *seal) {
                     Ok((number, record)) if number == expected => {
                         self.keys.insert(record.key, number);
                         expected += 1;
@@ -331,13 +416,14 @@ impl SceneLog {
         read().map_err(site.sqlite(superblock.seq))?
     }
 
-    fn check_sizes(&self, records: &[Record]) -> Result<(), LogError> {
+    fn check_sizes(&self, records: &[Record<K>]) -> Result<(), LogError> {
         for Record { seq, effect, .. } in records {
-            let cubes = effect.deleted.len() + effect.inserted.len();
-            if cubes > RECORD_CUBES_MAX {
+            let bodies = effect.deleted.iter().chain(&effect.inserted);
+            let weight: usize = bodies.map(|(_, body)| K::weight(body)).sum();
+            if weight > RECORD_CUBES_MAX {
                 let limit = RECORD_CUBES_MAX;
                 return Err(self.database.site.failed(format_args!(
-                    "change {} has {cubes} cubes; a record takes {limit}",
+                    "change {} has {weight} bodies; a record takes {limit}",
                     seq.0
                 )));
             }
@@ -389,7 +475,7 @@ fn notices(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::{CubeId, Place, Totals};
+    use crate::geometry::{CubeId, Edge, Place, Totals};
     use crate::log::{Motion, Replayed};
 
     const KEEP: Keep = Keep {

@@ -3,18 +3,19 @@
 //! Knows that a snapshot counts only once its row is there, which is the last thing written. Dropping what it makes superfluous is `trim`'s.
 
 use super::chunks::SnapshotWriter;
-use super::scene::SceneLog;
+use super::kind::Kind;
+use super::scene::Log;
 use super::{LogError, Seq};
-use crate::geometry::{CubeId, Place, Totals};
+use crate::geometry::CubeId;
 
-/// About what a cube takes in a snapshot.
-const CUBE_BYTES: u64 = 16;
-/// What a change of one cube costs on replay beyond its cube, in bytes of operations.
+/// About what a body takes in a snapshot.
+const BODY_BYTES: u64 = 16;
+/// What a change of one body costs on replay beyond its body, in bytes of operations.
 const CHANGE_BYTES: u64 = 48;
 
-impl SceneLog {
-    /// Whether the log has grown longer than the live set of `cubes` is worth.
-    pub fn wants_snapshot(&self, cubes: u64) -> bool {
+impl<K: Kind> Log<K> {
+    /// Whether the log has grown longer than the live set of `bodies` is worth.
+    pub fn wants_snapshot(&self, bodies: u64) -> bool {
         let superblock = &self.database.superblock;
         let (seq, bytes) = match &self.snapshot {
             Some(snapshot) => (snapshot.seq, snapshot.operations_bytes),
@@ -23,7 +24,7 @@ impl SceneLog {
         let log_bytes =
             superblock.operations_bytes - bytes + (superblock.seq.0 - seq.0) * CHANGE_BYTES;
         self.under_way.is_none()
-            && log_bytes > self.keep.snapshot_log_bytes_min.max(cubes * CUBE_BYTES)
+            && log_bytes > self.keep.snapshot_log_bytes_min.max(bodies * BODY_BYTES)
     }
 
     /// Begins a snapshot as of the newest seq. An unfinished one is dropped.
@@ -32,21 +33,22 @@ impl SceneLog {
     pub fn snapshot_begin(
         &mut self,
         at_ms: u64,
-        totals: &Totals,
+        totals: &K::Totals,
         next_id: u64,
     ) -> Result<(), LogError> {
         self.chunks_left_over |= self.under_way.take().is_some();
-        let writer = SnapshotWriter::begin(&mut self.database, self.edge, at_ms, totals, next_id)?;
+        let writer =
+            SnapshotWriter::begin(&mut self.database, &self.context, at_ms, totals, next_id)?;
         self.under_way = Some(writer);
         Ok(())
     }
 
-    /// Adds cubes of the seq it was begun at to the snapshot under way; appends may come between.
+    /// Adds bodies of the seq it was begun at to the snapshot under way; appends may come between.
     /// # Errors
     /// The disk's; the snapshot is then abandoned, the log is as it was.
-    pub fn snapshot_add(&mut self, cubes: &[(CubeId, Place)]) -> Result<(), LogError> {
+    pub fn snapshot_add(&mut self, bodies: &[(CubeId, K::Body)]) -> Result<(), LogError> {
         let mut writer = self.snapshot_under_way()?;
-        writer.add(&mut self.database, cubes)?;
+        writer.add(&mut self.database, bodies)?;
         self.under_way = Some(writer);
         Ok(())
     }
@@ -61,7 +63,7 @@ impl SceneLog {
     }
 
     /// The one under way, out of `self`, so that an error on the way leaves it abandoned.
-    fn snapshot_under_way(&mut self) -> Result<SnapshotWriter, LogError> {
+    fn snapshot_under_way(&mut self) -> Result<SnapshotWriter<K>, LogError> {
         self.chunks_left_over = true;
         self.under_way
             .take()

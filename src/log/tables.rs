@@ -13,18 +13,44 @@
 //! snapshots   number -> seq, time, totals, ...    one, or none yet
 //! chunks      number << 16 | index -> up to 65,536 cubes
 //! keys        number -> idempotency key and its answer
+//! definitions number -> what bodies stand on, in scenes whose kind defines something: their shapes
 //! ```
 
 use rusqlite::types::ValueRef;
 use rusqlite::{Connection, Row, params, params_from_iter};
 
 use super::codec::{self, Malformed, Reader};
+use super::kind::Kind;
 use super::{Header, HistoryRow, KeyRecord, Motion, RecordedOutcome, Seq};
-use crate::geometry::{CubeId, Totals};
+use crate::geometry::CubeId;
 
 /// Every table and index, as the schema has it word for word. The superblock is first and its one page low, so that a checkpoint, which writes pages
 /// in their order, moves it before any row.
-pub(super) const TABLES: [(&str, &str); 8] = [
+pub(super) fn tables(defines: bool) -> impl Iterator<Item = (&'static str, &'static str)> {
+    let own: &[_] = if defines { &TABLES_OF_DEFINITIONS } else { &[] };
+    let tables = TABLES.into_iter().filter(move |(name, _)| {
+        let mut replaced = own.iter();
+        !replaced.any(|(own, _)| own == name)
+    });
+    own.iter().copied().chain(tables)
+}
+
+/// Where there are definitions: their table, and the superblock with their number.
+const TABLES_OF_DEFINITIONS: [(&str, &str); 2] = [
+    (
+        "head",
+        "CREATE TABLE head(one INTEGER PRIMARY KEY, generation INTEGER NOT NULL, seq INTEGER NOT NULL, \
+         changes_first INTEGER NOT NULL, operations_first INTEGER NOT NULL, operations_bytes INTEGER NOT NULL, \
+         dropped_bytes INTEGER NOT NULL, operations_cubes INTEGER NOT NULL, snapshot INTEGER NOT NULL, snapshots_begun INTEGER NOT NULL, \
+         keys_first INTEGER NOT NULL, keys_next INTEGER NOT NULL, definitions INTEGER NOT NULL, crc INTEGER NOT NULL) STRICT",
+    ),
+    (
+        "definitions",
+        "CREATE TABLE definitions(number INTEGER PRIMARY KEY, definition BLOB NOT NULL, crc INTEGER NOT NULL) STRICT",
+    ),
+];
+
+const TABLES: [(&str, &str); 8] = [
     (
         "head",
         "CREATE TABLE head(one INTEGER PRIMARY KEY, generation INTEGER NOT NULL, seq INTEGER NOT NULL, \
@@ -180,6 +206,8 @@ pub(super) struct Superblock {
     pub(super) keys_first: u64,
     /// ... to the one before this.
     pub(super) keys_next: u64,
+    /// `definitions` holds exactly 0 to the one before this; none where there is no such table.
+    pub(super) definitions: Option<u64>,
 }
 
 impl Superblock {
@@ -195,10 +223,11 @@ impl Superblock {
         snapshots_begun: 0,
         keys_first: 0,
         keys_next: 0,
+        definitions: None,
     };
 
-    fn numbers(&self) -> [u64; 11] {
-        [
+    fn numbers(&self) -> impl Iterator<Item = u64> {
+        let everywhere = [
             self.generation,
             self.seq.0,
             self.changes_first,
@@ -210,7 +239,8 @@ impl Superblock {
             self.snapshots_begun,
             self.keys_first,
             self.keys_next,
-        ]
+        ];
+        everywhere.into_iter().chain(self.definitions)
     }
 
     fn crc(&self, seal: Seal) -> Crc {
@@ -223,12 +253,14 @@ impl Superblock {
 
     pub(super) fn write(&self, connection: &Connection, seal: Seal) -> rusqlite::Result<()> {
         let crc = self.crc(seal).finish();
+        let sql = match self.definitions {
+            None => "REPLACE INTO head VALUES(1, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+            Some(_) => "REPLACE INTO head VALUES(1, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+        };
         let numbers = self.numbers().map(u64::cast_signed);
         connection
-            .prepare_cached("REPLACE INTO head VALUES(1, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)")?
-            .execute(params_from_iter(
-                numbers.into_iter().chain([i64::from(crc)]),
-            ))?;
+            .prepare_cached(sql)?
+            .execute(params_from_iter(numbers.chain([i64::from(crc)])))?;
         Ok(())
     }
 
@@ -243,6 +275,8 @@ impl Superblock {
 
     fn parse(row: &Row<'_>, seal: Seal) -> Result<Self, Malformed> {
         let columns = Columns(row);
+        // The schema, which was compared, says whether there is one column more.
+        let defines = row.as_ref().column_count() == 14;
         let superblock = Self {
             generation: columns.number(1)?,
             seq: Seq(columns.number(2)?),
@@ -255,8 +289,11 @@ impl Superblock {
             snapshots_begun: columns.number(9)?,
             keys_first: columns.number(10)?,
             keys_next: columns.number(11)?,
+            definitions: defines.then(|| columns.number(12)).transpose()?,
         };
-        superblock.crc(seal).check(columns.number(12)?)?;
+        superblock
+            .crc(seal)
+            .check(columns.number(12 + usize::from(defines))?)?;
         Ok(superblock)
     }
 }
@@ -336,13 +373,13 @@ impl Changes {
          changes.duration_ns, changes.removed, changes.totals, changes.crc";
     pub(super) const COLUMN_COUNT: usize = 9;
 
-    fn crc(seal: Seal, row: &HistoryRow, removed: &[u8], totals: &[u8]) -> Crc {
+    /// `numbers` are the seq, the time and the counts.
+    fn crc(seal: Seal, numbers: [u64; 4], motion: Motion, removed: &[u8], totals: &[u8]) -> Crc {
         let mut crc = seal.row("changes");
-        crc.number(row.seq.0)
-            .number(row.at_ms)
-            .number(row.inserted)
-            .number(row.deleted);
-        for said in [row.motion.number, row.motion.duration_ns] {
+        for number in numbers {
+            crc.number(number);
+        }
+        for said in [motion.number, motion.duration_ns] {
             crc.number(u64::from(said.is_some()))
                 .number(said.unwrap_or(0));
         }
@@ -350,17 +387,17 @@ impl Changes {
         crc
     }
 
-    pub(super) fn insert(
+    pub(super) fn insert<K: Kind>(
         connection: &Connection,
         seal: Seal,
-        row: &HistoryRow,
+        row: &HistoryRow<K>,
         totals: &[u8],
     ) -> rusqlite::Result<()> {
         let mut removed = Vec::new();
         codec::put_volume(&mut removed, row.volume_removed);
-        let crc = Self::crc(seal, row, &removed, totals).finish();
-        let [seq, at_ms, inserted, deleted] =
-            [row.seq.0, row.at_ms, row.inserted, row.deleted].map(u64::cast_signed);
+        let numbers = [row.seq.0, row.at_ms, row.inserted, row.deleted];
+        let crc = Self::crc(seal, numbers, row.motion, &removed, totals).finish();
+        let [seq, at_ms, inserted, deleted] = numbers.map(u64::cast_signed);
         let [number, duration] =
             [row.motion.number, row.motion.duration_ns].map(|said| said.map(ordered));
         connection
@@ -371,25 +408,28 @@ impl Changes {
         Ok(())
     }
 
-    pub(super) fn parse(row: &Row<'_>, seal: Seal) -> Result<HistoryRow, Malformed> {
+    pub(super) fn parse<K: Kind>(row: &Row<'_>, seal: Seal) -> Result<HistoryRow<K>, Malformed> {
         let columns = Columns(row);
         let (removed, totals) = (columns.blob(6)?, columns.blob(7)?);
-        let mut row = HistoryRow {
-            seq: Seq(columns.number(0)?),
-            at_ms: columns.number(1)?,
-            inserted: columns.number(2)?,
-            deleted: columns.number(3)?,
-            motion: Motion {
-                number: columns.ordered(4)?,
-                duration_ns: columns.ordered(5)?,
-            },
-            volume_removed: 0,
-            totals: Totals::default(),
+        let mut numbers = [0; 4];
+        for (index, number) in numbers.iter_mut().enumerate() {
+            *number = columns.number(index)?;
+        }
+        let motion = Motion {
+            number: columns.ordered(4)?,
+            duration_ns: columns.ordered(5)?,
         };
-        Self::crc(seal, &row, removed, totals).check(columns.number(8)?)?;
-        row.volume_removed = codec::volume(removed)?;
-        row.totals = codec::totals(totals)?;
-        Ok(row)
+        Self::crc(seal, numbers, motion, removed, totals).check(columns.number(8)?)?;
+        let [seq, at_ms, inserted, deleted] = numbers;
+        Ok(HistoryRow {
+            seq: Seq(seq),
+            at_ms,
+            inserted,
+            deleted,
+            motion,
+            volume_removed: codec::volume(removed)?,
+            totals: codec::totals::<K>(totals)?,
+        })
     }
 }
 
@@ -504,11 +544,11 @@ impl<'a> Packed<'a> {
 
 /// A row of `snapshots`: there only once all its chunks are.
 #[derive(Clone, Debug)]
-pub(super) struct Snapshot {
+pub(super) struct Snapshot<K: Kind> {
     pub(super) number: u64,
     pub(super) seq: Seq,
     pub(super) at_ms: u64,
-    pub(super) totals: Totals,
+    pub(super) totals: K::Totals,
     pub(super) next_id: u64,
     pub(super) cubes: u64,
     pub(super) chunks: u64,
@@ -521,12 +561,12 @@ pub(super) struct Snapshot {
 /// How many chunks a snapshot can have: more than 2^31 cubes fill.
 pub(super) const CHUNKS_MAX: u64 = 1 << 16;
 
-impl Snapshot {
-    /// Number of the chunk at `index`.
-    pub(super) fn chunk(number: u64, index: u64) -> u64 {
-        number * CHUNKS_MAX + index
-    }
+/// Number of the chunk at `index` of a snapshot.
+pub(super) fn chunk_number(snapshot: u64, index: u64) -> u64 {
+    snapshot * CHUNKS_MAX + index
+}
 
+impl<K: Kind> Snapshot<K> {
     fn numbers(&self) -> [u64; 8] {
         [
             self.number,
@@ -551,7 +591,7 @@ impl Snapshot {
 
     pub(super) fn insert(&self, connection: &Connection, seal: Seal) -> rusqlite::Result<()> {
         let mut totals = Vec::new();
-        codec::put_totals(&mut totals, &self.totals);
+        K::put_totals(&mut totals, &self.totals);
         let crc = self.crc(seal, &totals).finish();
         let [
             number,
@@ -579,7 +619,7 @@ impl Snapshot {
             number: columns.number(0)?,
             seq: Seq(columns.number(1)?),
             at_ms: columns.number(2)?,
-            totals: codec::totals(totals)?,
+            totals: codec::totals::<K>(totals)?,
             next_id: columns.number(4)?,
             cubes: columns.number(5)?,
             chunks: columns.number(6)?,
@@ -604,11 +644,11 @@ impl Keys {
         crc
     }
 
-    pub(super) fn insert(
+    pub(super) fn insert<K: Kind>(
         connection: &Connection,
         seal: Seal,
         number: u64,
-        record: &KeyRecord,
+        record: &KeyRecord<K>,
     ) -> rusqlite::Result<()> {
         let mut answer = Vec::new();
         put_answer(&mut answer, &record.answer);
@@ -625,7 +665,10 @@ impl Keys {
         Ok(())
     }
 
-    pub(super) fn parse(row: &Row<'_>, seal: Seal) -> Result<(u64, KeyRecord), Malformed> {
+    pub(super) fn parse<K: Kind>(
+        row: &Row<'_>,
+        seal: Seal,
+    ) -> Result<(u64, KeyRecord<K>), Malformed> {
         let columns = Columns(row);
         let number = columns.number(0)?;
         let (key, body, answer) = (columns.text(1)?, columns.blob(2)?, columns.blob(3)?);
@@ -641,9 +684,41 @@ impl Keys {
     }
 }
 
+/// Rows of `definitions`: bytes with a number.
+pub(super) struct Definitions;
+
+impl Definitions {
+    fn crc(seal: Seal, number: u64, definition: &[u8]) -> Crc {
+        let mut crc = seal.row("definitions");
+        crc.number(number).bytes(definition);
+        crc
+    }
+
+    pub(super) fn insert(
+        connection: &Connection,
+        seal: Seal,
+        number: u64,
+        definition: &[u8],
+    ) -> rusqlite::Result<()> {
+        let crc = Self::crc(seal, number, definition).finish();
+        connection.execute(
+            "INSERT INTO definitions VALUES(?, ?, ?)",
+            params![number.cast_signed(), definition, crc],
+        )?;
+        Ok(())
+    }
+
+    pub(super) fn parse<'a>(row: &'a Row<'a>, seal: Seal) -> Result<(u64, &'a [u8]), Malformed> {
+        let columns = Columns(row);
+        let (number, definition) = (columns.number(0)?, columns.blob(1)?);
+        Self::crc(seal, number, definition).check(columns.number(2)?)?;
+        Ok((number, definition))
+    }
+}
+
 const ANSWER_VERSION: u8 = 2;
 
-fn put_answer(to: &mut Vec<u8>, answer: &RecordedOutcome) {
+fn put_answer<K: Kind>(to: &mut Vec<u8>, answer: &RecordedOutcome<K>) {
     to.push(ANSWER_VERSION);
     for number in [
         answer.seq.0,
@@ -662,10 +737,10 @@ fn put_answer(to: &mut Vec<u8>, answer: &RecordedOutcome) {
         to.push(0);
     }
     codec::put_volume(to, answer.volume_removed);
-    codec::put_totals(to, &answer.totals);
+    K::put_totals(to, &answer.totals);
 }
 
-fn read_answer(bytes: &[u8]) -> Result<RecordedOutcome, Malformed> {
+fn read_answer<K: Kind>(bytes: &[u8]) -> Result<RecordedOutcome<K>, Malformed> {
     let mut reader = Reader(bytes);
     if reader.byte()? != ANSWER_VERSION {
         return Err(Malformed("an answer of an unknown version"));
@@ -682,7 +757,7 @@ fn read_answer(bytes: &[u8]) -> Result<RecordedOutcome, Malformed> {
             _ => return Err(Malformed("ids that are neither given nor not")),
         },
         volume_removed: codec::read_volume(&mut reader)?,
-        totals: codec::read_totals(&mut reader)?,
+        totals: K::read_totals(&mut reader)?,
     };
     reader.finish()?;
     Ok(answer)

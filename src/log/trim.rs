@@ -6,7 +6,8 @@ use rusqlite::Connection;
 
 use super::LogError;
 use super::codec::count;
-use super::scene::SceneLog;
+use super::kind::Kind;
+use super::scene::Log;
 use super::tables::CHUNKS_MAX;
 
 /// Bounds of a slice: milliseconds of work.
@@ -23,7 +24,7 @@ const SLACK_BYTES_PART: u64 = 16;
 const FREE_PAGES_MIN: u64 = 2048;
 const FREE_OF_4_MIN: u64 = 3;
 
-impl SceneLog {
+impl<K: Kind> Log<K> {
     /// Whether there is enough to drop that calling [`Self::trim`] pays. No I/O.
     pub fn wants_trim(&self) -> bool {
         self.chunks_left_over()

@@ -1,26 +1,107 @@
-//! Where cubes were before some changes: what it takes to read a set as it was then.
+//! What bodies were before some changes: what it takes to read a set as it was then.
 //!
 //! ```text
-//!   the set now  ── cubes that no change named ──────────────────┬──> the set then
-//!   before       ── cubes named, each as it was before the first ─┘
+//!   the set now  ── bodies that no change named ──────────────────┬──> the set then
+//!   before       ── bodies named, each as it was before the first ─┘
 //! ```
 //! Readers see the last durable state in this way while changes are on their way, and so does a snapshot that is written while
-//! changes go on. Both tables are the engine's own, in the order of the listing: noting a cube costs a part of what inserting it
+//! changes go on. Both tables are the engine's own, in the order of the listing: noting a body costs a part of what inserting it
 //! does, and looking one up takes no longer for many changes than for few.
 
-use crate::engine::{Cursor, Engine, IdTable};
+use std::collections::BTreeMap;
+use std::ops::Bound;
+
+use super::kind::SceneKind;
+use crate::engine::{Cursor, IdTable};
 use crate::geometry::{CubeId, Place};
 
-/// Where the cubes that some changes named were before the first of them. No cube is in both tables.
-#[derive(Debug, Default)]
-pub(super) struct Before {
-    /// Those that were somewhere.
-    there: IdTable,
-    /// Those that were nowhere; with where they were inserted first, which nobody asks for.
-    absent: IdTable,
+/// Bodies by id, in the order of the listing.
+pub trait Table<Body>: Default + Send + Sync + 'static {
+    /// Inserts a body; false, and nothing done, when the id is there.
+    fn insert(&mut self, id: CubeId, body: Body) -> bool;
+
+    /// The body of this id.
+    fn get(&self, id: CubeId) -> Option<Body>;
+
+    /// Whether there is no body.
+    fn is_empty(&self) -> bool;
+
+    /// Removes all bodies; may keep their room.
+    fn clear(&mut self);
+
+    /// The bodies that stand after the cursor in the listing, in its order.
+    fn bodies_after(&self, after: Option<Cursor>) -> impl Iterator<Item = (CubeId, Body)> + '_;
 }
 
-impl Before {
+impl Table<Place> for IdTable {
+    fn insert(&mut self, id: CubeId, place: Place) -> bool {
+        self.insert(id, place)
+    }
+
+    fn get(&self, id: CubeId) -> Option<Place> {
+        self.get(id)
+    }
+
+    fn is_empty(&self) -> bool {
+        self.is_empty()
+    }
+
+    fn clear(&mut self) {
+        self.clear();
+    }
+
+    fn bodies_after(&self, after: Option<Cursor>) -> impl Iterator<Item = (CubeId, Place)> + '_ {
+        self.cubes_after(after)
+    }
+}
+
+impl<Body: Clone + Send + Sync + 'static> Table<Body> for BTreeMap<Cursor, (CubeId, Body)> {
+    fn insert(&mut self, id: CubeId, body: Body) -> bool {
+        let cursor = Cursor::of(id);
+        let is_new = !self.contains_key(&cursor);
+        if is_new {
+            self.insert(cursor, (id, body));
+        }
+        is_new
+    }
+
+    fn get(&self, id: CubeId) -> Option<Body> {
+        self.get(&Cursor::of(id)).map(|(_, body)| body.clone())
+    }
+
+    fn is_empty(&self) -> bool {
+        self.is_empty()
+    }
+
+    fn clear(&mut self) {
+        self.clear();
+    }
+
+    fn bodies_after(&self, after: Option<Cursor>) -> impl Iterator<Item = (CubeId, Body)> + '_ {
+        let from = after.map_or(Bound::Unbounded, Bound::Excluded);
+        self.range((from, Bound::Unbounded))
+            .map(|(_, body)| body.clone())
+    }
+}
+
+/// What the bodies that some changes named were before the first of them. No body is in both tables.
+pub(super) struct Before<K: SceneKind> {
+    /// Those that were there.
+    there: K::Table,
+    /// Those that were not; with what was inserted first, which nobody asks for.
+    absent: K::Table,
+}
+
+impl<K: SceneKind> Default for Before<K> {
+    fn default() -> Self {
+        Self {
+            there: K::Table::default(),
+            absent: K::Table::default(),
+        }
+    }
+}
+
+impl<K: SceneKind> Before<K> {
     /// Forgets all, but keeps the room.
     pub(super) fn clear(&mut self) {
         self.there.clear();
@@ -31,42 +112,42 @@ impl Before {
         self.there.is_empty() && self.absent.is_empty()
     }
 
-    /// Notes a cube that a change deletes; false, and nothing done, when a change before has named it. A cube that moves is noted as deleted
-    /// first.
-    pub(super) fn note_deleted(&mut self, id: CubeId, place: Place) -> bool {
-        (self.absent.is_empty() || self.absent.get(id).is_none()) && self.there.insert(id, place)
+    /// Notes a body that a change deletes; false, and nothing done, when a change before has named it. A body that moves is noted as
+    /// deleted first.
+    pub(super) fn note_deleted(&mut self, id: CubeId, body: K::Body) -> bool {
+        (self.absent.is_empty() || self.absent.get(id).is_none()) && self.there.insert(id, body)
     }
 
-    /// Notes a cube that a change inserts, unless a change before has named it.
-    pub(super) fn note_inserted(&mut self, id: CubeId, place: Place) {
+    /// Notes a body that a change inserts, unless a change before has named it.
+    pub(super) fn note_inserted(&mut self, id: CubeId, body: K::Body) {
         if self.there.is_empty() || self.there.get(id).is_none() {
-            self.absent.insert(id, place);
+            self.absent.insert(id, body);
         }
     }
 
-    /// Where a cube was.
-    pub(super) fn place(&self, engine: &Engine, id: CubeId) -> Option<Place> {
+    /// What a body was.
+    pub(super) fn body(&self, engine: &K::Engine, id: CubeId) -> Option<K::Body> {
         let there = self.there.get(id);
         there.or_else(|| match self.absent.get(id) {
-            None => engine.get(id),
+            None => K::get(engine, id),
             Some(_) => None,
         })
     }
 
-    /// Whether a change has named a cube.
+    /// Whether a change has named a body.
     pub(super) fn names(&self, id: CubeId) -> bool {
         self.there.get(id).is_some() || self.absent.get(id).is_some()
     }
 
-    /// The listing of the cubes as they were, after a cursor, from the engine as it is now. None stands for a cube that was not there.
+    /// The listing of the bodies as they were, after a cursor, from the engine as it is now. None stands for a body that was not there.
     pub(super) fn listing<'a>(
         &'a self,
-        engine: &'a Engine,
+        engine: &'a K::Engine,
         after: Option<Cursor>,
-    ) -> impl Iterator<Item = (Cursor, Option<(CubeId, Place)>)> + 'a {
-        let with_cursor = |(id, place)| (Cursor::of(id), (id, place));
-        let mut now = engine.cubes_after(after).map(with_cursor).peekable();
-        let mut there = self.there.cubes_after(after).map(with_cursor).peekable();
+    ) -> impl Iterator<Item = (Cursor, Option<(CubeId, K::Body)>)> + 'a {
+        let with_cursor = |(id, body)| (Cursor::of(id), (id, body));
+        let mut now = K::bodies_after(engine, after).map(with_cursor).peekable();
+        let mut there = self.there.bodies_after(after).map(with_cursor).peekable();
         std::iter::from_fn(move || {
             let is_there = match (there.peek(), now.peek()) {
                 (Some((at, _)), Some((here, _))) => at <= here,
@@ -74,13 +155,13 @@ impl Before {
                 (None, _) => false,
             };
             if is_there {
-                let (at, cube) = there.next()?;
+                let (at, body) = there.next()?;
                 now.next_if(|(here, _)| *here == at);
-                return Some((at, Some(cube)));
+                return Some((at, Some(body)));
             }
-            let (here, cube) = now.next()?;
-            let was_absent = !self.absent.is_empty() && self.absent.get(cube.0).is_some();
-            Some((here, (!was_absent).then_some(cube)))
+            let (here, body) = now.next()?;
+            let was_absent = !self.absent.is_empty() && self.absent.get(body.0).is_some();
+            Some((here, (!was_absent).then_some(body)))
         })
     }
 }

@@ -7,31 +7,39 @@ use parking_lot::Mutex;
 use tokio::sync::watch;
 
 use super::Published;
-use super::set::CubeSet;
-use crate::engine::Engine;
+use super::kind::SceneKind;
+use super::set::BodySet;
 use crate::log::HistoryReader;
 
 /// Where readers find the durable state.
-pub(super) struct Feed {
-    pub(super) set: CubeSet,
-    pub(super) newest: ArcSwap<Published>,
-    pub(super) updates: watch::Sender<Published>,
-    pub(super) history: Mutex<HistoryReader>,
+pub(super) struct Feed<K: SceneKind> {
+    pub(super) set: BodySet<K>,
+    pub(super) newest: ArcSwap<Published<K>>,
+    pub(super) updates: watch::Sender<Published<K>>,
+    pub(super) history: Mutex<HistoryReader<K>>,
+    /// What bodies stand on, as far as it is durable.
+    pub(super) context: ArcSwap<K::Context>,
 }
 
-impl Feed {
-    pub(super) fn new(engine: Engine, published: &Published, history: HistoryReader) -> Self {
+impl<K: SceneKind> Feed<K> {
+    pub(super) fn new(
+        engine: K::Engine,
+        published: &Published<K>,
+        history: HistoryReader<K>,
+        context: &K::Context,
+    ) -> Self {
         Self {
-            set: CubeSet::new(engine, published),
+            set: BodySet::new(engine, published),
             newest: ArcSwap::from_pointee(*published),
             updates: watch::Sender::new(*published),
             history: Mutex::new(history),
+            context: ArcSwap::from_pointee(context.clone()),
         }
     }
 
     /// Shows a new durable state: to those who look first, then to those who wait. Nobody sees an older state in one place
     /// after this one in another.
-    pub(super) fn publish(&self, published: &Published) {
+    pub(super) fn publish(&self, published: &Published<K>) {
         self.set.advance(published, || {
             self.newest.store(Arc::new(*published));
             self.updates.send_replace(*published);

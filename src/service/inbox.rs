@@ -8,24 +8,25 @@ use std::time::{Duration, Instant};
 use parking_lot::{Condvar, Mutex};
 use tokio::sync::{Notify, futures::Notified, oneshot};
 
+use super::kind::SceneKind;
 use super::{Applied, Chain, Operations, ServiceConfig, ServiceError, Submission, meters};
 
 /// Where the answer to a change goes.
 #[derive(Debug)]
-pub(super) struct Reply {
+pub(super) struct Reply<K: SceneKind> {
     /// None once it was answered.
-    sender: Option<oneshot::Sender<Result<Applied, ServiceError>>>,
+    sender: Option<oneshot::Sender<Result<Applied<K>, ServiceError>>>,
     /// What the change stands in.
     chain: Option<Chain>,
 }
 
 /// A change that waits, and who waits for it.
 #[derive(Debug)]
-pub(super) struct Pending {
+pub(super) struct Pending<K: SceneKind> {
     /// What to do.
-    pub(super) submission: Submission,
+    pub(super) submission: Submission<K>,
     /// Where the answer goes.
-    pub(super) reply: Reply,
+    pub(super) reply: Reply<K>,
 }
 
 /// How a scene ends.
@@ -52,25 +53,38 @@ pub(super) enum Shut {
 }
 
 /// The queues of one scene.
-#[derive(Default)]
-pub(super) struct Inbox {
-    state: Mutex<State>,
+pub(super) struct Inbox<K: SceneKind> {
+    state: Mutex<State<K>>,
     wake: Condvar,
     /// Told when a full queue may have room, and when it is closed.
     room: Notify,
 }
 
-#[derive(Default)]
-struct State {
+struct State<K: SceneKind> {
     /// Whether the writer serves.
     open: bool,
     end: Option<End>,
-    changes: VecDeque<Pending>,
+    changes: VecDeque<Pending<K>>,
     /// Operations in `changes`.
     operations: usize,
 }
 
-impl Submission {
+impl<K: SceneKind> Default for Inbox<K> {
+    fn default() -> Self {
+        Self {
+            state: Mutex::new(State {
+                open: false,
+                end: None,
+                changes: VecDeque::new(),
+                operations: 0,
+            }),
+            wake: Condvar::new(),
+            room: Notify::new(),
+        }
+    }
+}
+
+impl<K: SceneKind> Submission<K> {
     /// How many operations it has.
     pub(super) fn operations(&self) -> usize {
         match &self.operations {
@@ -78,19 +92,29 @@ impl Submission {
             Operations::Numbered { delete, insert } => delete.len() + insert.len(),
             // How many it takes is not known before it is its turn.
             Operations::Revert(_) => 0,
+            Operations::Define(_) => 1,
         }
+    }
+
+    /// Whether it is committed alone: a definition is no record, and of a revert nobody knows how many operations it takes before it
+    /// is judged.
+    fn is_alone(&self) -> bool {
+        matches!(
+            self.operations,
+            Operations::Revert(_) | Operations::Define(_)
+        )
     }
 }
 
 /// What waits for an answer.
-pub(super) type OutcomeReceiver = oneshot::Receiver<Result<Applied, ServiceError>>;
+pub(super) type OutcomeReceiver<K> = oneshot::Receiver<Result<Applied<K>, ServiceError>>;
 
-impl Pending {
+impl<K: SceneKind> Pending<K> {
     /// A change on its way, and what waits for its answer.
     pub(super) fn new(
-        submission: Submission,
+        submission: Submission<K>,
         chain: Option<Chain>,
-    ) -> (Box<Self>, OutcomeReceiver) {
+    ) -> (Box<Self>, OutcomeReceiver<K>) {
         let (sender, answer) = oneshot::channel();
         let reply = Reply {
             sender: Some(sender),
@@ -100,9 +124,9 @@ impl Pending {
     }
 }
 
-impl Reply {
+impl<K: SceneKind> Reply<K> {
     /// Answers, if there is still somebody to be answered. A refusal breaks the chain.
-    pub(super) fn send(mut self, answer: Result<Applied, ServiceError>) {
+    pub(super) fn send(mut self, answer: Result<Applied<K>, ServiceError>) {
         self.judged(&answer);
         if let Some(sender) = self.sender.take() {
             let _gone = sender.send(answer);
@@ -110,7 +134,7 @@ impl Reply {
     }
 
     /// Notes what the answer will be, before it may be given: what follows in the chain is judged next.
-    pub(super) fn judged(&self, answer: &Result<Applied, ServiceError>) {
+    pub(super) fn judged(&self, answer: &Result<Applied<K>, ServiceError>) {
         if let (Err(_), Some(chain)) = (answer, &self.chain) {
             chain.break_off();
         }
@@ -122,7 +146,7 @@ impl Reply {
     }
 }
 
-impl Drop for Reply {
+impl<K: SceneKind> Drop for Reply<K> {
     fn drop(&mut self) {
         // Lost in a panic: nobody knows whether it was applied, so what follows must not be.
         if let (Some(_), Some(chain)) = (&self.sender, &self.chain) {
@@ -131,13 +155,13 @@ impl Drop for Reply {
     }
 }
 
-impl Inbox {
+impl<K: SceneKind> Inbox<K> {
     /// Queues a change, or gives it back.
     pub(super) fn submit(
         &self,
-        pending: Box<Pending>,
+        pending: Box<Pending<K>>,
         config: &ServiceConfig,
-    ) -> Result<(), (Shut, Box<Pending>)> {
+    ) -> Result<(), (Shut, Box<Pending<K>>)> {
         let mut state = self.state.lock();
         if let Err(shut) = state.check() {
             return Err((shut, pending));
@@ -168,7 +192,7 @@ impl Inbox {
     }
 
     /// Lets nothing in any more and hands out those that waited.
-    pub(super) fn close(&self) -> VecDeque<Pending> {
+    pub(super) fn close(&self) -> VecDeque<Pending<K>> {
         let mut state = self.state.lock();
         state.open = false;
         state.operations = 0;
@@ -201,7 +225,7 @@ impl Inbox {
         &self,
         group_operations_max: usize,
         idle_work: bool,
-    ) -> Option<Vec<Pending>> {
+    ) -> Option<Vec<Pending<K>>> {
         let mut state = self.state.lock();
         loop {
             let waits = !state.changes.is_empty();
@@ -220,8 +244,7 @@ impl Inbox {
         let mut operations = 0;
         while let Some(next) = state.changes.front() {
             let more = next.submission.operations();
-            // A revert is a group of its own: nobody knows how many operations it takes before it is judged.
-            let alone = matches!(next.submission.operations, Operations::Revert(_));
+            let alone = next.submission.is_alone();
             if !group.is_empty() && (alone || operations + more > group_operations_max) {
                 break;
             }
@@ -247,7 +270,7 @@ impl Inbox {
     }
 }
 
-impl State {
+impl<K: SceneKind> State<K> {
     fn check(&self) -> Result<(), Shut> {
         match (self.end, self.open) {
             (Some(end), _) => Err(Shut::Ended(end)),

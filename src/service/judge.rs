@@ -1,32 +1,34 @@
-//! Judging a change: what it does to the set of cubes, or why it is refused. Nothing changes here.
+//! Judging a change: what it does to the set of bodies, or why it is refused. Nothing changes here.
 
+use super::kind::SceneKind;
 use super::next_id::{IdRange, NextId};
-use super::{CHANGE_OPERATIONS_MAX, Counting, Operations, Seq, ServiceError, meters, revert};
-use crate::engine::{Counts, Engine, Op};
+use super::{
+    CHANGE_OPERATIONS_MAX, Counting, Operations, Seq, ServiceConfig, ServiceError, meters, revert,
+};
+use crate::engine::{Counts, Op};
 use crate::geometry::{CubeId, Effect};
-use crate::log::{LogError, SceneLog};
+use crate::log::{Log, LogError};
 
 /// What a change is judged against: the state after all that was accepted before it.
-pub(super) struct Judging<'a> {
-    pub(super) engine: &'a Engine,
+pub(super) struct Judging<'a, K: SceneKind> {
+    pub(super) engine: &'a K::Engine,
     /// Seq of the engine. For a revert, of the log too.
     pub(super) newest: Seq,
-    pub(super) log: &'a SceneLog,
+    pub(super) log: &'a Log<K>,
     pub(super) next_id: NextId,
-    /// Most cubes of the scene.
-    pub(super) cubes_max: u64,
+    pub(super) config: &'a ServiceConfig,
 }
 
 /// A change that can be applied.
-pub(super) struct Accepted {
-    pub(super) effect: Effect,
+pub(super) struct Accepted<K: SceneKind> {
+    pub(super) effect: Effect<K::Body>,
     /// What its operations did, counted as its client wants it.
     pub(super) counts: Counts,
     /// The same by net effect.
     pub(super) net: Counts,
     /// Ids that the server gave: used up only when the change is applied.
     pub(super) assigned: Option<IdRange>,
-    /// The seq whose cubes it brings back.
+    /// The seq whose bodies it brings back.
     pub(super) reverts_to: Option<Seq>,
 }
 
@@ -44,13 +46,13 @@ impl<E: Into<ServiceError>> From<E> for Unfit {
     }
 }
 
-impl Judging<'_> {
+impl<K: SceneKind> Judging<'_, K> {
     /// Judges a change. O(operations); a revert, O(operations that tell its state and the newest one apart).
     pub(super) fn judge(
         &self,
-        operations: Operations,
+        operations: Operations<K>,
         counting: Counting,
-    ) -> Result<Accepted, Unfit> {
+    ) -> Result<Accepted<K>, Unfit> {
         let (ops, assigned) = match operations {
             Operations::Named(ops) => (ops, None),
             Operations::Numbered { delete, insert } => {
@@ -66,7 +68,7 @@ impl Judging<'_> {
                 let ids = assigned.map_or(0..=0, |(first, last)| first.0..=last.0);
                 let insert = ids
                     .zip(insert)
-                    .map(|(id, place)| Op::Insert(CubeId(id), place));
+                    .map(|(id, body)| Op::Insert(CubeId(id), body));
                 let delete = delete.into_iter().map(Op::Delete);
                 (delete.chain(insert).collect(), assigned)
             }
@@ -78,8 +80,10 @@ impl Judging<'_> {
                 if to < oldest {
                     return Err(ServiceError::NotReachable { seq: to, oldest }.into());
                 }
-                let effect = revert::effect(self.engine, self.log, to).map_err(Unfit::Unread)?;
-                let operations = effect.deleted.len() + effect.inserted.len();
+                let effect =
+                    revert::effect::<K>(self.engine, self.log, to).map_err(Unfit::Unread)?;
+                let bodies = effect.deleted.iter().chain(&effect.inserted);
+                let operations = bodies.map(|(_, body)| K::weight(body)).sum();
                 if operations > CHANGE_OPERATIONS_MAX {
                     return Err(ServiceError::TooManyOperations { operations }.into());
                 }
@@ -96,8 +100,11 @@ impl Judging<'_> {
                     reverts_to: Some(to),
                 });
             }
+            Operations::Define(_) => {
+                unreachable!("a definition is no change of the set of bodies")
+            }
         };
-        let judged = self.engine.judge(&ops, self.cubes_max);
+        let judged = K::judge(self.engine, &ops, self.config);
         let judged = judged.inspect_err(|_| meters::refused())?;
         Ok(Accepted {
             effect: judged.effect,

@@ -13,14 +13,15 @@ use std::time::Instant;
 use super::failpoint::{self, FailPoint};
 use super::feed::Feed;
 use super::inbox::Reply;
+use super::kind::SceneKind;
 use super::replay::{Compare, rebuild};
-use super::scene::{Condition, Scene};
+use super::scene::{Condition, SceneOf};
 use super::writer::{Halt, Writer};
-use super::{SceneState, Seq, ServiceError, meters};
-use crate::log::{Keep, LogError, SceneLog};
+use super::{SceneState, Seq, ServiceConfig, ServiceError, meters};
+use crate::log::{Keep, Log, LogError};
 
 /// Runs a scene until its end. `writer` is there when the scene was just created.
-pub(super) fn run(scene: &Scene, mut writer: Option<Writer>) {
+pub(super) fn run<K: SceneKind>(scene: &SceneOf<K>, mut writer: Option<Writer<K>>) {
     // What the writer found damaged when it last stopped for that.
     let mut damaged = None;
     loop {
@@ -45,7 +46,7 @@ pub(super) fn run(scene: &Scene, mut writer: Option<Writer>) {
 }
 
 /// One try to bring the scene back. A read that fails is damage to SQLite, so damage is believed when a second look finds some too.
-fn attempt(scene: &Scene) -> Result<Writer, Halt> {
+fn attempt<K: SceneKind>(scene: &SceneOf<K>) -> Result<Writer<K>, Halt> {
     let reopen = || {
         // A panic here is met again at every try (the log is the same), so the scene is refused rather than retried.
         catch_unwind(AssertUnwindSafe(|| reopen(scene))).unwrap_or_else(|_| {
@@ -65,11 +66,11 @@ fn attempt(scene: &Scene) -> Result<Writer, Halt> {
     Ok(writer)
 }
 
-fn serve_until_halt(
-    scene: &Scene,
-    mut writer: Writer,
+fn serve_until_halt<K: SceneKind>(
+    scene: &SceneOf<K>,
+    mut writer: Writer<K>,
     damaged: &mut Option<(Seq, String)>,
-) -> (Halt, Vec<Reply>) {
+) -> (Halt, Vec<Reply<K>>) {
     let halt = catch_unwind(AssertUnwindSafe(|| writer.serve(scene))).unwrap_or_else(|_| {
         // Nothing unlogged was shown, so a fault of this program is survived like one of the disk.
         Halt::Log(LogError::Failed {
@@ -92,7 +93,7 @@ fn serve_until_halt(
 }
 
 /// Stops the scene for its callers; says whether it can come back by itself.
-fn stop(scene: &Scene, error: &LogError) -> bool {
+fn stop<K: SceneKind>(scene: &SceneOf<K>, error: &LogError) -> bool {
     let name = scene.name().as_str();
     let cause = error.to_string();
     let refusal = match error {
@@ -135,11 +136,11 @@ fn stop(scene: &Scene, error: &LogError) -> bool {
 }
 
 /// Opens the scene's log, proves that it takes writes, and replays it.
-pub(super) fn reopen(scene: &Scene) -> Result<Writer, Halt> {
+pub(super) fn reopen<K: SceneKind>(scene: &SceneOf<K>) -> Result<Writer<K>, Halt> {
     let ended = || scene.inbox.ended().is_some();
     let _pass = scene.setup.gate.enter(ended).ok_or(Halt::Ended)?;
     failpoint::pass(scene.setup.fail_hook.as_ref(), FailPoint::Open)?;
-    let (log, notices) = SceneLog::open(&scene.directory, keep(scene))?;
+    let (log, notices) = Log::<K>::open(&scene.directory, keep(&scene.setup.config))?;
     for notice in &notices {
         tracing::warn!(scene = scene.name().as_str(), "{notice}");
     }
@@ -154,7 +155,7 @@ pub(super) fn reopen(scene: &Scene) -> Result<Writer, Halt> {
     tracing::info!(
         scene = scene.name().as_str(),
         seq = published.seq.0,
-        cubes = published.totals.cubes,
+        bodies = K::count(&published.totals),
         milliseconds = start.elapsed().as_millis(),
         "recovered"
     );
@@ -162,18 +163,18 @@ pub(super) fn reopen(scene: &Scene) -> Result<Writer, Halt> {
 }
 
 /// Limits of what the scene's log keeps.
-pub(super) fn keep(scene: &Scene) -> Keep {
+pub(super) fn keep(config: &ServiceConfig) -> Keep {
     Keep {
-        snapshot_log_bytes_min: scene.setup.config.snapshot_log_bytes_min,
-        history_changes_max: scene.setup.config.history_changes_max,
-        idempotency_keys_max: scene.setup.config.idempotency_keys_max,
-        revert_changes_max: scene.setup.config.revert_changes_max,
-        revert_bytes_max: scene.setup.config.revert_bytes_max,
+        snapshot_log_bytes_min: config.snapshot_log_bytes_min,
+        history_changes_max: config.history_changes_max,
+        idempotency_keys_max: config.idempotency_keys_max,
+        revert_changes_max: config.revert_changes_max,
+        revert_bytes_max: config.revert_bytes_max,
     }
 }
 
 /// Replays an open log.
-pub(super) fn revive(scene: &Scene, mut log: SceneLog) -> Result<Writer, Halt> {
+pub(super) fn revive<K: SceneKind>(scene: &SceneOf<K>, mut log: Log<K>) -> Result<Writer<K>, Halt> {
     if !scene.keep_header(log.header()) {
         let detail = "another scene's files were put here while it was stopped".to_owned();
         let path = scene.directory.clone();
@@ -192,7 +193,7 @@ pub(super) fn revive(scene: &Scene, mut log: SceneLog) -> Result<Writer, Halt> {
     if published.seq == Seq(0) {
         published.at_ms = log.created_ms();
     }
-    let feed = Feed::new(rebuilt.engine, &published, history);
+    let feed = Feed::new(rebuilt.engine, &published, history, log.context());
     Ok(Writer::new(log, &published, rebuilt.next_id, feed))
 }
 

@@ -25,8 +25,8 @@ const SNAPSHOTS: &str = "union3d_snapshots_total";
 /// Describes the metrics to the recorder that is installed. Call it once, after installing.
 pub fn describe_metrics() {
     describe_counter!(CHANGES, "Changes made durable");
-    describe_counter!(INSERTED, "Cubes inserted");
-    describe_counter!(DELETED, "Cubes deleted");
+    describe_counter!(INSERTED, "Cubes and solids inserted");
+    describe_counter!(DELETED, "Cubes and solids deleted");
     describe_counter!(
         REFUSED,
         "Changes refused because they do not fit their scene"

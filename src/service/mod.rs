@@ -11,12 +11,14 @@
 //!          └─ lifecycle ── open the log, replay it, serve, and again after a failure
 //! ```
 
+mod any;
 mod before;
 mod failpoint;
 mod feed;
 mod gate;
 mod inbox;
 mod judge;
+mod kind;
 mod lifecycle;
 mod meters;
 mod next_id;
@@ -27,6 +29,7 @@ mod replay;
 mod revert;
 mod scene;
 mod set;
+mod solids;
 mod upkeep;
 mod writer;
 
@@ -36,13 +39,16 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use crate::engine::{Counts, Op, Rejected};
-use crate::geometry::{CUBES_MAX, CubeId, Place, Totals};
-pub use crate::log::{HistoryRow, Motion, Seq};
+use crate::geometry::{CUBES_MAX, CubeId};
+pub use crate::log::{Cubes, HistoryRow, Kind, Motion, Seq};
+pub use any::{AnyScene, SceneFacts};
 pub use failpoint::{FailHook, FailPoint};
+pub use kind::SceneKind;
 pub use meters::describe_metrics;
-pub use offline::{Offline, OfflineAudit};
+pub use offline::{AnyAudit, Offline, OfflineAudit};
 pub use registry::Service;
-pub use scene::Scene;
+pub use scene::{Scene, SceneOf};
+pub use solids::{NamedShape, Shapes, SolidScene, SolidTotals, Solids};
 
 /// Most operations of one change: what one record of the log holds.
 pub const CHANGE_OPERATIONS_MAX: usize = crate::log::RECORD_CUBES_MAX;
@@ -85,13 +91,13 @@ pub struct SceneName(String);
 
 /// Totals that are durable and visible.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub struct Published {
+pub struct Published<K: Kind = Cubes> {
     /// Newest durable change.
     pub seq: Seq,
     /// Its time, ms since 1970 (the scene's creation for seq 0).
     pub at_ms: u64,
     /// Totals after it.
-    pub totals: Totals,
+    pub totals: K::Totals,
 }
 
 /// How operations are counted.
@@ -105,25 +111,27 @@ pub enum Counting {
 
 /// What a client wants done.
 #[derive(Clone, Debug)]
-pub enum Operations {
+pub enum Operations<K: Kind = Cubes> {
     /// With the client's ids.
-    Named(Vec<Op>),
+    Named(Vec<Op<K::Body>>),
     /// Deletions by id, then insertions that the server numbers (consecutive ids).
     Numbered {
         /// Ids to delete.
         delete: Vec<CubeId>,
-        /// Places to insert.
-        insert: Vec<Place>,
+        /// Bodies to insert.
+        insert: Vec<K::Body>,
     },
-    /// Whatever makes the set of cubes what it was at this seq. O(operations since).
+    /// Whatever makes the set of bodies what it was at this seq. O(operations since).
     Revert(Seq),
+    /// Defines something that bodies stand on, as the log keeps it: no change of the set, and no seq.
+    Define(Box<[u8]>),
 }
 
 /// One change on its way in.
 #[derive(Clone, Debug)]
-pub struct Submission {
+pub struct Submission<K: Kind = Cubes> {
     /// What to do.
-    pub operations: Operations,
+    pub operations: Operations<K>,
     /// How to count it.
     pub counting: Counting,
     /// Which movement of a machine it belongs to. A change for which something is said here takes a seq even when it changes no
@@ -139,14 +147,14 @@ pub struct Chain(Arc<AtomicBool>);
 
 /// A change that is durable (or changed nothing).
 #[derive(Clone, Debug)]
-pub struct Applied {
+pub struct Applied<K: Kind = Cubes> {
     /// Seq, time and totals after it.
-    pub published: Published,
+    pub published: Published<K>,
     /// What the operations did.
     pub counts: Counts,
     /// First and last id the server gave.
     pub assigned: Option<(CubeId, CubeId)>,
-    /// Volume it removed from the stock, or added to the union where there is no stock. Units: steps cubed.
+    /// Volume it removed from the stock, or added to the union where there is no stock. Units: as of the kind's totals (cubes: steps cubed).
     pub volume_removed: i128,
     /// Whether this is the recorded answer of an earlier request with the same key.
     pub replayed: bool,
@@ -234,6 +242,23 @@ pub enum ServiceError {
     /// The change does not fit the scene.
     #[error(transparent)]
     Rejected(#[from] Rejected),
+    /// The change does not fit the scene of solids.
+    #[error(transparent)]
+    RejectedSolids(#[from] crate::engine::solids::Rejected),
+    /// What is to be defined cannot be.
+    #[error("{cause}")]
+    NotDefined {
+        /// Why.
+        cause: String,
+    },
+    /// The scene is of another kind than what is asked.
+    #[error("scene {name:?} is of {kind}; this call is for scenes of another kind")]
+    OtherKind {
+        /// Its name.
+        name: String,
+        /// Its kind, in words.
+        kind: &'static str,
+    },
     /// No more ids to give.
     #[error("the server has no {wanted} consecutive ids left to give")]
     IdsExhausted {
@@ -298,13 +323,20 @@ pub struct StartError(pub String);
 
 /// The result of an audit.
 #[derive(Clone, Debug)]
-pub struct Audit {
+pub struct Audit<K: Kind = Cubes> {
     /// Seq it is as of.
     pub seq: Seq,
     /// Totals kept.
-    pub kept: Totals,
-    /// Totals recounted from the cubes alone.
-    pub recounted: Totals,
+    pub kept: K::Totals,
+    /// Totals recounted from the bodies alone.
+    pub recounted: K::Totals,
+}
+
+impl<K: SceneKind> Audit<K> {
+    /// Whether the totals kept are those recounted.
+    pub fn is_equal(&self) -> bool {
+        K::agree(&self.kept, &self.recounted)
+    }
 }
 
 impl ServiceConfig {

@@ -3,11 +3,12 @@
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
+use super::kind::SceneKind;
 use super::registry::lock_data;
 use super::replay::{Compare, rebuild};
-use super::{Audit, SceneName, StartError};
-use crate::engine::recount;
-use crate::log::{Keep, LogError, SceneLog};
+use super::solids::Solids;
+use super::{Audit, Published, SceneName, Seq, StartError};
+use crate::log::{Cubes, Keep, Kind, Log, LogError, format_of};
 
 /// A data directory, locked: no service can use it meanwhile.
 #[derive(Debug)]
@@ -20,11 +21,56 @@ pub struct Offline {
 #[derive(Clone, Debug)]
 pub struct OfflineAudit {
     /// Totals kept, and recounted.
-    pub audit: Audit,
+    pub audit: AnyAudit,
     /// Records whose checksums were compared.
     pub records: u64,
     /// What was found and mended in opening.
     pub notices: Vec<String>,
+}
+
+/// The audit of a scene of whichever kind.
+#[derive(Clone, Debug)]
+pub enum AnyAudit {
+    /// Of cubes.
+    Cubes(Box<Audit>),
+    /// Of solids.
+    Solids(Box<Audit<Solids>>),
+}
+
+impl AnyAudit {
+    /// Seq it is as of.
+    pub fn seq(&self) -> Seq {
+        match self {
+            Self::Cubes(audit) => audit.seq,
+            Self::Solids(audit) => audit.seq,
+        }
+    }
+
+    /// How many bodies there are.
+    pub fn bodies(&self) -> u64 {
+        match self {
+            Self::Cubes(audit) => audit.kept.cubes,
+            Self::Solids(audit) => audit.kept.union.solids,
+        }
+    }
+
+    /// Whether the totals kept are those recounted.
+    pub fn is_equal(&self) -> bool {
+        match self {
+            Self::Cubes(audit) => audit.is_equal(),
+            Self::Solids(audit) => audit.is_equal(),
+        }
+    }
+
+    /// The totals kept and those recounted, for those who look for the difference.
+    pub fn shown(&self) -> [String; 2] {
+        match self {
+            Self::Cubes(audit) => [audit.kept, audit.recounted].map(|totals| format!("{totals:?}")),
+            Self::Solids(audit) => {
+                [audit.kept, audit.recounted].map(|totals| format!("{:?}", totals.union))
+            }
+        }
+    }
 }
 
 impl Offline {
@@ -79,34 +125,46 @@ impl Offline {
             .iter()
             .find(|(own, _)| own == name)
             .expect("the name is one of scenes()");
-        // Nothing is trimmed here: the log keeps what it has.
-        let keep = Keep {
-            history_changes_max: u64::MAX,
-            idempotency_keys_max: u64::MAX,
-            revert_changes_max: u64::MAX,
-            revert_bytes_max: u64::MAX,
-            snapshot_log_bytes_min: u64::MAX,
-        };
-        let (mut log, notices) = SceneLog::open(directory, keep)?;
-        let records = log.verify(&mut |permille| progress(permille / 2))?;
-        let rebuilt = rebuild(
-            &mut log,
-            directory,
-            Compare::Every,
-            |permille| progress(500 + permille / 2),
-            || false,
-        )?;
-        let rebuilt = rebuilt.expect("nobody ends it");
-        let published = rebuilt.published();
-        let places = rebuilt.engine.cubes().map(|(_, place)| place);
-        Ok(OfflineAudit {
-            audit: Audit {
-                seq: published.seq,
-                kept: published.totals,
-                recounted: recount(rebuilt.engine.edge(), rebuilt.engine.stock(), places),
-            },
-            records,
-            notices,
-        })
+        if format_of(directory) == Some(Solids::FORMAT) {
+            audit_of::<Solids>(directory, AnyAudit::Solids, progress)
+        } else {
+            audit_of::<Cubes>(directory, AnyAudit::Cubes, progress)
+        }
     }
+}
+
+fn audit_of<K: SceneKind>(
+    directory: &Path,
+    any: impl FnOnce(Box<Audit<K>>) -> AnyAudit,
+    progress: &mut dyn FnMut(u32),
+) -> Result<OfflineAudit, LogError> {
+    // Nothing is trimmed here: the log keeps what it has.
+    let keep = Keep {
+        history_changes_max: u64::MAX,
+        idempotency_keys_max: u64::MAX,
+        revert_changes_max: u64::MAX,
+        revert_bytes_max: u64::MAX,
+        snapshot_log_bytes_min: u64::MAX,
+    };
+    let (mut log, notices) = Log::<K>::open(directory, keep)?;
+    let records = log.verify(&mut |permille| progress(permille / 2))?;
+    let rebuilt = rebuild(
+        &mut log,
+        directory,
+        Compare::Every,
+        |permille| progress(500 + permille / 2),
+        || false,
+    )?;
+    let rebuilt = rebuilt.expect("nobody ends it");
+    let Published { seq, totals, .. } = rebuilt.published();
+    let bodies = K::bodies_after(&rebuilt.engine, None).map(|(_, body)| body);
+    Ok(OfflineAudit {
+        audit: any(Box::new(Audit {
+            seq,
+            kept: totals,
+            recounted: K::recount(log.header(), bodies.collect()),
+        })),
+        records,
+        notices,
+    })
 }

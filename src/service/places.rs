@@ -10,7 +10,7 @@ use crate::geometry::{CubeId, Edge, Place};
 
 /// Cubes in cells. A cell is an edge and a step wide, so the cubes that hold a point have their lower corners in two cells an axis.
 #[derive(Debug, Default)]
-pub(super) struct Places {
+pub struct Places {
     /// Number of the newest cube in a cell.
     newest: HashMap<Cell, usize>,
     cubes: Vec<Placed>,

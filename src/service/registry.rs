@@ -15,15 +15,21 @@ use std::time::{Duration, Instant};
 use dashmap::DashMap;
 use parking_lot::{Condvar, Mutex, RwLock};
 
+use super::any::{AnyScene, SceneFacts};
 use super::failpoint::FailHook;
 use super::gate::Gate;
 use super::inbox::End;
+use super::kind::SceneKind;
 use super::lifecycle::{self, keep, revive};
-use super::scene::{Scene, Setup, blocking};
+use super::scene::{Scene, SceneOf, Setup, blocking};
+use super::solids::{NamedShape, SolidScene, Solids};
 use super::writer::{Halt, Writer};
 use super::{Readiness, SceneName, SceneState, ServiceConfig, ServiceError, StartError};
 use crate::geometry::{Edge, Stock};
-use crate::log::{Header, LogError, SceneLog, create_directories, remove_leftovers, remove_scene};
+use crate::log::{
+    Cubes, Header, Kind, Log, LogError, create_directories, format_of, remove_leftovers,
+    remove_scene,
+};
 
 /// All scenes of a data directory.
 #[derive(Clone)]
@@ -31,11 +37,11 @@ pub struct Service(Arc<Registry>);
 
 struct Registry {
     setup: Arc<Setup>,
-    scenes: DashMap<Box<str>, Arc<Scene>>,
+    scenes: DashMap<Box<str>, AnyScene>,
     /// Names that are being created or dropped.
     busy: Busy,
     /// The scenes found at start, each with the size of its files in bytes: what `readiness` weighs.
-    found: Vec<(Arc<Scene>, u64)>,
+    found: Vec<(AnyScene, u64)>,
     /// Whether the service shuts down. Creating and dropping hold it for reading, so shutting down waits for them.
     closing: RwLock<bool>,
     /// The locked file; closing it lets another service in.
@@ -103,7 +109,7 @@ impl Service {
             match SceneName::new(&entry.file_name().to_string_lossy()) {
                 Ok(name) if path.is_dir() => {
                     let bytes = size_bytes(&path);
-                    found.push((Arc::new(Scene::new(name, path, setup.clone())), bytes));
+                    found.push((unopened(name, path, &setup), bytes));
                 }
                 _ => tracing::warn!("{} is no scene; left alone", path.display()),
             }
@@ -120,7 +126,7 @@ impl Service {
             lock: Mutex::new(Some(lock)),
         };
         for (scene, _) in &registry.found {
-            spawn(scene, None).map_err(|error| {
+            start(scene).map_err(|error| {
                 StartError(format!(
                     "cannot start a thread for scene {}: {error}",
                     scene.name().as_str()
@@ -134,13 +140,13 @@ impl Service {
     pub fn readiness(&self) -> Readiness {
         let waiting = self.0.found.iter().any(|(scene, _)| scene.is_starting());
         if waiting {
-            let sum = |part: &dyn Fn(&Scene) -> u32| -> u128 {
+            let sum = |part: &dyn Fn(&dyn SceneFacts) -> u32| -> u128 {
                 let weighed = self.0.found.iter();
                 weighed
-                    .map(|(scene, bytes)| u128::from(part(scene)) * u128::from(bytes + 1))
+                    .map(|(scene, bytes)| u128::from(part(&**scene)) * u128::from(bytes + 1))
                     .sum()
             };
-            let percent = 100 * sum(&Scene::start_permille) / sum(&|_| 1000).max(1);
+            let percent = 100 * sum(&|scene| scene.start_permille()) / sum(&|_| 1000).max(1);
             return Readiness::Recovering {
                 percent: u8::try_from(percent).map_or(99, |percent| percent.min(99)),
             };
@@ -170,8 +176,41 @@ impl Service {
         stock: Option<Stock>,
         settings: &str,
     ) -> Result<(Arc<Scene>, bool), ServiceError> {
-        let (registry, name, settings) = (self.0.clone(), name.clone(), settings.to_owned());
-        blocking(move || registry.create(&name, edge, stock, &settings)).await?
+        let new = NewScene {
+            edge_steps: edge.steps().cast_unsigned(),
+            stock,
+            settings: settings.to_owned(),
+            definitions: Vec::new(),
+        };
+        self.create_of(name, new).await
+    }
+
+    /// Creates a scene of solids with these shapes, as [`Service::create`] does one of cubes. One that was there has all the shapes.
+    /// # Errors
+    /// As of [`Service::create`].
+    pub async fn create_solids(
+        &self,
+        name: &SceneName,
+        stock: Option<Stock>,
+        shapes: &[NamedShape],
+        settings: &str,
+    ) -> Result<(Arc<SolidScene>, bool), ServiceError> {
+        let new = NewScene {
+            edge_steps: 0,
+            stock,
+            settings: settings.to_owned(),
+            definitions: shapes.iter().map(NamedShape::definition).collect(),
+        };
+        self.create_of(name, new).await
+    }
+
+    async fn create_of<K: SceneKind>(
+        &self,
+        name: &SceneName,
+        new: NewScene,
+    ) -> Result<(Arc<SceneOf<K>>, bool), ServiceError> {
+        let (registry, name) = (self.0.clone(), name.clone());
+        blocking(move || registry.create(&name, &new)).await?
     }
 
     /// Drops a scene with its data.
@@ -184,25 +223,39 @@ impl Service {
         blocking(move || registry.remove(&name)).await?
     }
 
-    /// A scene by name.
+    /// A scene by name, of whichever kind.
     /// # Errors
     /// [`ServiceError::NoSuchScene`]; and why it does not answer, while its settings are not even known (its log has not been opened).
-    pub fn scene(&self, name: &str) -> Result<Arc<Scene>, ServiceError> {
+    pub fn any_scene(&self, name: &str) -> Result<AnyScene, ServiceError> {
         let scene = self
             .0
             .scenes
             .get(name)
             .map(|scene| scene.clone())
             .ok_or_else(|| ServiceError::NoSuchScene(name.to_owned()))?;
-        if scene.has_header() {
+        if scene.is_open() {
             Ok(scene)
         } else {
             Err(scene.refusal())
         }
     }
 
+    /// A scene of cubes by name.
+    /// # Errors
+    /// As of [`Service::any_scene`], and [`ServiceError::OtherKind`].
+    pub fn scene(&self, name: &str) -> Result<Arc<Scene>, ServiceError> {
+        of_kind::<Cubes>(self.any_scene(name)?)
+    }
+
+    /// A scene of solids by name.
+    /// # Errors
+    /// As of [`Service::any_scene`], and [`ServiceError::OtherKind`].
+    pub fn solid_scene(&self, name: &str) -> Result<Arc<SolidScene>, ServiceError> {
+        of_kind::<Solids>(self.any_scene(name)?)
+    }
+
     /// All scenes, by name.
-    pub fn scenes(&self) -> Vec<Arc<Scene>> {
+    pub fn scenes(&self) -> Vec<AnyScene> {
         let mut scenes: Vec<_> = self.0.scenes.iter().map(|scene| scene.clone()).collect();
         scenes.sort_by(|a, b| a.name().cmp(b.name()));
         scenes
@@ -217,21 +270,19 @@ impl Service {
 }
 
 impl Registry {
-    fn create(
+    fn create<K: SceneKind>(
         self: &Arc<Self>,
         name: &SceneName,
-        edge: Edge,
-        stock: Option<Stock>,
-        settings: &str,
-    ) -> Result<(Arc<Scene>, bool), ServiceError> {
+        new: &NewScene,
+    ) -> Result<(Arc<SceneOf<K>>, bool), ServiceError> {
         let _open = self.stay_open()?;
         let _busy = self.busy.enter(name);
         if let Some(scene) = self.scenes.get(name.as_str()).map(|scene| scene.clone()) {
-            if !scene.has_header() {
+            if !scene.is_open() {
                 return Err(scene.refusal());
             }
-            return if scene.edge() == edge && scene.stock() == stock && scene.settings() == settings
-            {
+            let scene = of_kind::<K>(scene)?;
+            return if new.is(&scene)? {
                 Ok((scene, false))
             } else {
                 Err(ServiceError::SceneExists {
@@ -240,26 +291,31 @@ impl Registry {
                 })
             };
         }
-        let scene = Arc::new(Scene::new(
+        let scene = Arc::new(SceneOf::<K>::new(
             name.clone(),
             self.directory(name),
             self.setup.clone(),
         ));
         let header = Header {
             incarnation: uuid::Uuid::new_v4().as_u64_pair().1,
-            edge_steps: edge.steps().cast_unsigned(),
-            stock,
-            settings: settings.to_owned(),
+            edge_steps: new.edge_steps,
+            stock: new.stock,
+            settings: new.settings.clone(),
         };
-        let begun = SceneLog::create(&scene.directory, &header, keep(&scene))
-            .map_err(Halt::from)
-            .and_then(|log| revive(&scene, log))
-            .map_err(refusal)
-            .and_then(|writer| {
-                // Before the thread runs: the answer to `create` must not be followed by a refusal.
-                writer.begin(&scene);
-                spawn(&scene, Some(writer)).map_err(|error| storage(&error))
-            });
+        let begun = Log::<K>::create_with(
+            &scene.directory,
+            &header,
+            &new.definitions,
+            keep(&self.setup.config),
+        )
+        .map_err(Halt::from)
+        .and_then(|log| revive(&scene, log))
+        .map_err(refusal)
+        .and_then(|writer| {
+            // Before the thread runs: the answer to `create` must not be followed by a refusal.
+            writer.begin(&scene);
+            spawn(&scene, Some(writer)).map_err(|error| storage(&error))
+        });
         if let Err(error) = begun {
             // Nobody was told of the scene: it must not be there after a restart either.
             if scene.directory.exists()
@@ -270,7 +326,8 @@ impl Registry {
             return Err(error);
         }
         tracing::info!(scene = name.as_str(), "created");
-        self.scenes.insert(name.as_str().into(), scene.clone());
+        self.scenes
+            .insert(name.as_str().into(), K::any(scene.clone()));
         Ok((scene, true))
     }
 
@@ -280,9 +337,9 @@ impl Registry {
         let Some(scene) = self.scenes.get(name.as_str()).map(|scene| scene.clone()) else {
             return Err(ServiceError::NoSuchScene(name.0.clone()));
         };
-        scene.announce_end(End::Dropped);
-        scene.finish_end(End::Dropped);
-        match discard(&scene.directory) {
+        scene.ends().announce_end(End::Dropped);
+        scene.ends().finish_end(End::Dropped);
+        match discard(&self.directory(name)) {
             Ok(()) => {
                 self.scenes.remove(name.as_str());
                 tracing::info!(scene = name.as_str(), "dropped");
@@ -290,12 +347,8 @@ impl Registry {
             }
             Err(error) => {
                 // It is still there, so it goes on: replayed from its files.
-                let again = Arc::new(Scene::new(
-                    name.clone(),
-                    self.directory(name),
-                    self.setup.clone(),
-                ));
-                spawn(&again, None).map_err(|error| storage(&error))?;
+                let again = unopened(name.clone(), self.directory(name), &self.setup);
+                start(&again).map_err(|error| storage(&error))?;
                 self.scenes.insert(name.as_str().into(), again);
                 Err(storage(&error))
             }
@@ -306,10 +359,10 @@ impl Registry {
         *self.closing.write() = true;
         let scenes: Vec<_> = self.scenes.iter().map(|scene| scene.clone()).collect();
         for scene in &scenes {
-            scene.announce_end(End::Shutdown);
+            scene.ends().announce_end(End::Shutdown);
         }
         for scene in &scenes {
-            scene.finish_end(End::Shutdown);
+            scene.ends().finish_end(End::Shutdown);
         }
         self.lock.lock().take();
     }
@@ -353,8 +406,60 @@ impl Drop for BusyName<'_> {
     }
 }
 
+/// What a scene is created with.
+struct NewScene {
+    edge_steps: u32,
+    stock: Option<Stock>,
+    settings: String,
+    definitions: Vec<Box<[u8]>>,
+}
+
+impl NewScene {
+    /// Whether a scene that is there is such a one.
+    fn is<K: SceneKind>(&self, scene: &SceneOf<K>) -> Result<bool, ServiceError> {
+        let header = scene.header().expect("it is open");
+        let settings = (header.edge_steps, header.stock, &header.settings)
+            == (self.edge_steps, self.stock, &self.settings);
+        // Without definitions nobody is asked, so that a scene of cubes is found while it is stopped.
+        let defined = self.definitions.is_empty() || {
+            let context = scene.context()?;
+            let mut definitions = self.definitions.iter();
+            definitions.all(|definition| K::is_defined(&context, definition))
+        };
+        Ok(settings && defined)
+    }
+}
+
+/// A scene of this kind.
+fn of_kind<K: SceneKind>(scene: AnyScene) -> Result<Arc<SceneOf<K>>, ServiceError> {
+    K::of(scene).map_err(|scene| ServiceError::OtherKind {
+        name: scene.name().as_str().to_owned(),
+        kind: scene.kind(),
+    })
+}
+
+/// The scene of a directory, whose files say of which kind it is.
+fn unopened(name: SceneName, directory: PathBuf, setup: &Arc<Setup>) -> AnyScene {
+    let format = format_of(&directory);
+    let setup = setup.clone();
+    if format == Some(Solids::FORMAT) {
+        AnyScene::Solids(Arc::new(SceneOf::new(name, directory, setup)))
+    } else {
+        // Files that do not tell are damaged, as the log will say.
+        AnyScene::Cubes(Arc::new(SceneOf::new(name, directory, setup)))
+    }
+}
+
+/// Starts the thread of a scene whose log has not been opened.
+fn start(scene: &AnyScene) -> io::Result<()> {
+    match scene {
+        AnyScene::Cubes(scene) => spawn(scene, None),
+        AnyScene::Solids(scene) => spawn(scene, None),
+    }
+}
+
 /// Starts the thread that owns the scene.
-fn spawn(scene: &Arc<Scene>, writer: Option<Writer>) -> io::Result<()> {
+fn spawn<K: SceneKind>(scene: &Arc<SceneOf<K>>, writer: Option<Writer<K>>) -> io::Result<()> {
     let owned = scene.clone();
     let thread = std::thread::Builder::new()
         .name(format!("scene {}", scene.name().as_str()))

@@ -5,11 +5,11 @@
 use std::collections::HashMap;
 use std::path::Path;
 
+use super::kind::SceneKind;
 use super::next_id::NextId;
 use super::{Published, Seq};
-use crate::engine::Engine;
-use crate::geometry::{CubeId, Edge, Effect, Place, Totals};
-use crate::log::{LogError, Replayed, SceneLog};
+use crate::geometry::{CubeId, Effect};
+use crate::log::{Log, LogError, Replayed};
 
 /// Which of the recorded totals a replay compares with those that it comes to.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -22,44 +22,45 @@ pub(super) enum Compare {
 }
 
 impl Compare {
-    /// How many cubes may wait for others.
-    fn waiting_max(self) -> usize {
+    /// How many bodies may wait for others.
+    fn waiting_max<K: SceneKind>(self) -> usize {
         match self {
             Self::Every => 0,
-            Self::Some => 1 << 22,
+            Self::Some => K::REPLAYED_TOGETHER_MAX,
         }
     }
 }
 
 /// The state that a replay rebuilds.
-pub(super) struct Rebuilt {
-    pub(super) engine: Engine,
+pub(super) struct Rebuilt<K: SceneKind> {
+    pub(super) engine: K::Engine,
     seq: Seq,
     at_ms: u64,
     pub(super) next_id: NextId,
     compare: Compare,
     /// What is not in the engine yet.
-    waiting: Effect,
+    waiting: Effect<K::Body>,
     /// Which of the insertions that wait is of which cube: as long as there are deletions after them.
     inserted: Option<HashMap<CubeId, usize>>,
     /// What the totals must be when it is; nothing amid a snapshot.
-    expected: Option<Totals>,
+    expected: Option<K::Totals>,
+    /// What they are.
+    totals: K::Totals,
 }
 
 /// Rebuilds the state that a log leads to, comparing totals on the way; none when `ended` says so on the way.
-pub(super) fn rebuild(
-    log: &mut SceneLog,
+pub(super) fn rebuild<K: SceneKind>(
+    log: &mut Log<K>,
     directory: &Path,
     compare: Compare,
     mut progress: impl FnMut(u32),
     ended: impl Fn() -> bool,
-) -> Result<Option<Rebuilt>, LogError> {
-    let steps = i64::from(log.header().edge_steps);
-    let edge = Edge::new(steps).map_err(|invalid| LogError::Foreign {
+) -> Result<Option<Rebuilt<K>>, LogError> {
+    let engine = K::engine(log.header()).map_err(|detail| LogError::Foreign {
         path: directory.to_owned(),
-        detail: invalid.to_string(),
+        detail,
     })?;
-    let mut rebuilt = Rebuilt::new(Engine::new(edge).with_stock(log.header().stock), compare);
+    let mut rebuilt = Rebuilt::new(engine, compare);
     let (mut has_ended, mut fits) = (false, true);
     let result = log.replay(&mut progress, &mut |replayed| {
         has_ended = has_ended || ended();
@@ -79,9 +80,10 @@ pub(super) fn rebuild(
     Ok(Some(rebuilt))
 }
 
-impl Rebuilt {
-    fn new(engine: Engine, compare: Compare) -> Self {
+impl<K: SceneKind> Rebuilt<K> {
+    fn new(engine: K::Engine, compare: Compare) -> Self {
         Self {
+            totals: K::totals(&engine),
             engine,
             seq: Seq(0),
             at_ms: 0,
@@ -94,19 +96,19 @@ impl Rebuilt {
     }
 
     /// Where it stands.
-    pub(super) fn published(&self) -> Published {
+    pub(super) fn published(&self) -> Published<K> {
         Published {
             seq: self.seq,
             at_ms: self.at_ms,
-            totals: self.engine.totals(),
+            totals: self.totals,
         }
     }
 
     /// Takes one step; false when it does not lead to the totals that were recorded.
-    fn visit(&mut self, replayed: &Replayed<'_>) -> bool {
+    fn visit(&mut self, replayed: &Replayed<'_, K>) -> bool {
         match *replayed {
             Replayed::SnapshotBegin { cubes } => {
-                self.engine.reserve(cubes);
+                K::reserve(&mut self.engine, cubes);
                 true
             }
             Replayed::Cubes(cubes) => self.add(&[], cubes, None),
@@ -127,8 +129,8 @@ impl Rebuilt {
                 }
                 (self.seq, self.at_ms) = (record.seq, record.at_ms);
                 let Effect { deleted, inserted } = &record.effect;
-                for &(id, _) in inserted {
-                    self.next_id.pass(id);
+                for (id, _) in inserted {
+                    self.next_id.pass(*id);
                 }
                 self.add(deleted, inserted, Some(&record.totals))
             }
@@ -138,14 +140,14 @@ impl Rebuilt {
     /// Adds what deletions and insertions do, which lead to totals if these are recorded; now or later.
     fn add(
         &mut self,
-        deleted: &[(CubeId, Place)],
-        inserted: &[(CubeId, Place)],
-        totals: Option<&Totals>,
+        deleted: &[(CubeId, K::Body)],
+        inserted: &[(CubeId, K::Body)],
+        totals: Option<&K::Totals>,
     ) -> bool {
-        for (id, place) in deleted {
+        for (id, body) in deleted {
             match self.forget(*id) {
-                None => self.waiting.deleted.push((*id, *place)),
-                Some(there) if there == *place => {}
+                None => self.waiting.deleted.push((*id, body.clone())),
+                Some(there) if there == *body => {}
                 Some(_) => return false,
             }
         }
@@ -157,12 +159,12 @@ impl Rebuilt {
         self.waiting.inserted.extend_from_slice(inserted);
         self.expected = totals.copied();
         let waiting = self.waiting.deleted.len() + self.waiting.inserted.len();
-        waiting < self.compare.waiting_max() || self.flush()
+        waiting < self.compare.waiting_max::<K>() || self.flush()
     }
 
-    /// Takes an insertion back that waits, and says where it was to be: an effect deletes first, so a later deletion of the cube
+    /// Takes an insertion back that waits, and says what it was to be: an effect deletes first, so a later deletion of the body
     /// cannot be in the same one.
-    fn forget(&mut self, id: CubeId) -> Option<Place> {
+    fn forget(&mut self, id: CubeId) -> Option<K::Body> {
         let waiting = &mut self.waiting.inserted;
         if waiting.is_empty() {
             return None;
@@ -172,21 +174,28 @@ impl Rebuilt {
             numbers.map(|((id, _), number)| (*id, number)).collect()
         });
         let number = index.remove(&id)?;
-        let (_, place) = waiting.swap_remove(number);
+        let (_, body) = waiting.swap_remove(number);
         if let Some((moved, _)) = waiting.get(number) {
             index.insert(*moved, number);
         }
-        Some(place)
+        Some(body)
     }
 
     /// Applies what waits; false when it does not fit, or does not lead to the totals that were recorded.
     fn flush(&mut self) -> bool {
-        let fits = self.engine.apply(&self.waiting).is_ok();
+        let fits = K::apply(&mut self.engine, &self.waiting);
         self.waiting.deleted.clear();
         self.waiting.inserted.clear();
         self.inserted = None;
-        let expected = self.expected.take();
-        fits && expected.is_none_or(|totals| totals == self.engine.totals())
+        self.totals = K::totals(&self.engine);
+        match self.expected.take() {
+            Some(expected) => {
+                let fits = fits && K::agree(&expected, &self.totals);
+                self.totals = expected;
+                fits
+            }
+            None => fits,
+        }
     }
 }
 
@@ -195,7 +204,9 @@ mod tests {
     use std::collections::BTreeMap;
 
     use super::*;
-    use crate::log::Record;
+    use crate::engine::Engine;
+    use crate::geometry::{Edge, Place};
+    use crate::log::{Cubes, Record};
     use crate::random::Random;
     use crate::service::Motion;
 
@@ -207,8 +218,8 @@ mod tests {
         let mut below = |bound| random.below(bound);
         let mut live: BTreeMap<CubeId, Place> = BTreeMap::new();
         let mut engine = Engine::new(edge);
-        let mut together = Rebuilt::new(Engine::new(edge), Compare::Some);
-        let mut apart = Rebuilt::new(Engine::new(edge), Compare::Every);
+        let mut together = Rebuilt::<Cubes>::new(Engine::new(edge), Compare::Some);
+        let mut apart = Rebuilt::<Cubes>::new(Engine::new(edge), Compare::Every);
         for seq in 1..=300 {
             let mut effect = Effect::default();
             for id in (0..12).map(CubeId) {

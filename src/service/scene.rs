@@ -22,14 +22,15 @@ use super::failpoint::FailHook;
 use super::feed::Feed;
 use super::gate::Gate;
 use super::inbox::{End, Inbox, Pending, Shut};
+use super::kind::SceneKind;
 use super::set::View;
 use super::{
     Applied, Audit, CHANGE_OPERATIONS_MAX, Chain, HistoryRow, Published, SceneName, SceneState,
     Seq, ServiceConfig, ServiceError, Submission, meters,
 };
-use crate::engine::{Cursor, Side, recount};
+use crate::engine::{Cursor, Side};
 use crate::geometry::{CubeId, Edge, Place, Stock};
-use crate::log::{Header, HistoryReader, LogError};
+use crate::log::{Cubes, Header, HistoryReader, LogError};
 
 /// What all scenes of a service share.
 pub(super) struct Setup {
@@ -39,11 +40,11 @@ pub(super) struct Setup {
 }
 
 /// How a scene is, with what its readers need.
-pub(super) enum Condition {
+pub(super) enum Condition<K: SceneKind> {
     /// Its log is being replayed.
     Recovering,
     /// It answers.
-    Running(Arc<Feed>),
+    Running(Arc<Feed<K>>),
     /// A write failed.
     Stopped {
         /// Why.
@@ -61,7 +62,7 @@ pub(super) enum Condition {
 }
 
 /// One scene.
-pub struct Scene {
+pub struct SceneOf<K: SceneKind> {
     name: SceneName,
     pub(super) directory: PathBuf,
     pub(super) setup: Arc<Setup>,
@@ -69,19 +70,22 @@ pub struct Scene {
     header: OnceLock<Header>,
     /// What those above made of the header's settings.
     settings: OnceLock<Arc<dyn Any + Send + Sync>>,
-    condition: ArcSwap<Condition>,
+    condition: ArcSwap<Condition<K>>,
     /// How far replay has come.
     permille: AtomicU32,
     /// Whether the first replay is over, whatever came of it.
     started: AtomicBool,
     notices: Mutex<Vec<String>>,
-    pub(super) inbox: Inbox,
-    /// For copies of all cubes: one at a time, for each takes as much memory as the cubes.
+    pub(super) inbox: Inbox<K>,
+    /// For copies of all bodies: one at a time, for each takes as much memory as the bodies.
     copies: Semaphore,
     thread: Mutex<Option<JoinHandle<()>>>,
 }
 
-impl std::fmt::Debug for Scene {
+/// A scene of cubes.
+pub type Scene = SceneOf<Cubes>;
+
+impl<K: SceneKind> std::fmt::Debug for SceneOf<K> {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         formatter
             .debug_struct("Scene")
@@ -91,7 +95,7 @@ impl std::fmt::Debug for Scene {
     }
 }
 
-impl Scene {
+impl<K: SceneKind> SceneOf<K> {
     /// Its name.
     pub fn name(&self) -> &SceneName {
         &self.name
@@ -115,17 +119,6 @@ impl Scene {
             self.settings.get_or_init(|| made)
         };
         kept.clone().downcast().ok()
-    }
-
-    /// Edge of its cubes. One step while its log has not been opened ([`super::Service::scene`] refuses it then).
-    pub fn edge(&self) -> Edge {
-        let steps = self.header.get().map_or(1, |header| header.edge_steps);
-        Edge::new(i64::from(steps)).expect("an edge is checked before its header is kept")
-    }
-
-    /// The material that its cubes are cut from, if any. None while its log has not been opened.
-    pub fn stock(&self) -> Option<Stock> {
-        self.header.get().and_then(|header| header.stock)
     }
 
     /// Random name of this life of the scene. 0 while its log has not been opened.
@@ -163,7 +156,7 @@ impl Scene {
     }
 
     /// Newest durable totals. Never waits for the writer.
-    pub fn published(&self) -> Result<Published, ServiceError> {
+    pub fn published(&self) -> Result<Published<K>, ServiceError> {
         Ok(**self.feed()?.newest.load())
     }
 
@@ -172,7 +165,7 @@ impl Scene {
     /// Nothing has changed then, but for [`ServiceError::Stopped`]: when the disk fails in the middle of a write, the
     /// change may have been kept, whole, and shows once the scene is back; its cause says so. A retry with the same
     /// ids, or with the same key, is safe.
-    pub async fn change(&self, submission: Submission) -> Result<Applied, ServiceError> {
+    pub async fn change(&self, submission: Submission<K>) -> Result<Applied<K>, ServiceError> {
         let operations = submission.operations();
         if operations > CHANGE_OPERATIONS_MAX {
             return Err(ServiceError::TooManyOperations { operations });
@@ -190,9 +183,9 @@ impl Scene {
     /// As of [`Self::change`], but never [`ServiceError::QueueFull`]. [`ServiceError::Abandoned`] when the chain is broken.
     pub async fn submit(
         self: &Arc<Self>,
-        submission: Submission,
+        submission: Submission<K>,
         chain: Option<Chain>,
-    ) -> Result<impl Future<Output = Result<Applied, ServiceError>> + Send + use<>, ServiceError>
+    ) -> Result<impl Future<Output = Result<Applied<K>, ServiceError>> + Send + use<K>, ServiceError>
     {
         let operations = submission.operations();
         if operations > CHANGE_OPERATIONS_MAX {
@@ -215,7 +208,7 @@ impl Scene {
     }
 
     /// Newest totals now and whenever they change; a slow reader skips to the newest. None once the scene is dropped or stopped.
-    pub fn subscribe(&self) -> Result<watch::Receiver<Published>, ServiceError> {
+    pub fn subscribe(&self) -> Result<watch::Receiver<Published<K>>, ServiceError> {
         Ok(self.feed()?.updates.subscribe())
     }
 
@@ -224,7 +217,7 @@ impl Scene {
         &self,
         seq: Seq,
         timeout: Duration,
-    ) -> Result<Option<Published>, ServiceError> {
+    ) -> Result<Option<Published<K>>, ServiceError> {
         let mut updates = self.subscribe()?;
         let reached = updates.wait_for(|published| published.seq >= seq);
         match tokio::time::timeout(timeout, reached).await {
@@ -237,7 +230,7 @@ impl Scene {
     /// A past state.
     /// # Errors
     /// [`ServiceError::SeqNotReached`] beyond the newest, [`ServiceError::SeqNotKept`] before the oldest.
-    pub async fn at(&self, seq: Seq) -> Result<Published, ServiceError> {
+    pub async fn at(&self, seq: Seq) -> Result<Published<K>, ServiceError> {
         let newest = self.published()?;
         if seq > newest.seq {
             return Err(ServiceError::SeqNotReached {
@@ -270,7 +263,7 @@ impl Scene {
         to: Seq,
         moves: Option<[u64; 2]>,
         limit: usize,
-    ) -> Result<Vec<HistoryRow>, ServiceError> {
+    ) -> Result<Vec<HistoryRow<K>>, ServiceError> {
         // A row that is committed but not published yet must not show: its change has not been answered.
         let to = to.min(self.published()?.seq);
         if from > to {
@@ -283,50 +276,46 @@ impl Scene {
         .await
     }
 
-    /// Where a cube is.
-    pub async fn cube(&self, id: CubeId) -> Result<Option<Place>, ServiceError> {
-        self.read(move |view| view.cube(id)).await
+    /// The body of an id.
+    pub async fn body(&self, id: CubeId) -> Result<Option<K::Body>, ServiceError> {
+        self.read(move |view| view.body(id)).await
     }
 
-    /// Up to `limit` cubes after the cursor (from the beginning without one), and the cursor of the last when more follow.
-    /// A cube that is there during the whole listing is listed exactly once, whatever changes meanwhile. O(limit, and
-    /// cubes on their way).
+    /// Up to `limit` bodies after the cursor (from the beginning without one), and the cursor of the last when more follow.
+    /// A body that is there during the whole listing is listed exactly once, whatever changes meanwhile. O(limit, and
+    /// bodies on their way).
     pub async fn page(
         &self,
         after: Option<Cursor>,
         limit: usize,
-    ) -> Result<(Vec<(CubeId, Place)>, Option<Cursor>), ServiceError> {
+    ) -> Result<(Vec<(CubeId, K::Body)>, Option<Cursor>), ServiceError> {
         self.read(move |view| view.page(after, limit)).await
     }
 
-    /// All cubes as of one seq, in the order of the listing. O(cubes), and changes wait meanwhile.
-    pub async fn cubes(&self) -> Result<(Seq, Vec<(CubeId, Place)>), ServiceError> {
-        self.copy(|view| (view.seq(), view.cubes().collect())).await
+    /// All bodies as of one seq, in the order of the listing. O(bodies), and changes wait meanwhile.
+    pub async fn bodies(&self) -> Result<(Seq, Vec<(CubeId, K::Body)>), ServiceError> {
+        self.copy(|view| (view.seq(), view.bodies().collect()))
+            .await
     }
 
-    /// Where a point lies, and the cube of least id that holds it (closed cubes).
-    pub async fn contains(
-        &self,
-        point: [i32; 3],
-    ) -> Result<(Seq, Side, Option<(CubeId, Place)>), ServiceError> {
-        self.read(move |view| {
-            let (side, cube) = view.contains(point);
-            (view.seq(), side, cube)
-        })
-        .await
+    /// What its bodies stand on, as far as it is durable.
+    pub fn context(&self) -> Result<Arc<K::Context>, ServiceError> {
+        Ok(self.feed()?.context.load_full())
     }
 
-    /// Recounts everything from the cubes alone, on another thread, and compares.
-    pub async fn audit(&self) -> Result<Audit, ServiceError> {
-        let (Published { seq, totals, .. }, places) = self
+    /// Recounts everything from the bodies alone, on another thread, and compares.
+    pub async fn audit(&self) -> Result<Audit<K>, ServiceError> {
+        let (Published { seq, totals, .. }, bodies) = self
             .copy(|view| {
-                let places: Vec<Place> = view.cubes().map(|(_, place)| place).collect();
-                (view.published(), places)
+                let bodies: Vec<K::Body> = view.bodies().map(|(_, body)| body).collect();
+                (view.published(), bodies)
             })
             .await?;
-        let (kept, edge, stock) = (totals, self.edge(), self.stock());
-        let recounted = blocking(move || recount(edge, stock, places.into_iter())).await?;
-        if recounted != kept {
+        let kept = totals;
+        let header = self.header.get().expect("a scene that runs has a header");
+        let header = header.clone();
+        let recounted = blocking(move || K::recount(&header, bodies)).await?;
+        if !K::agree(&recounted, &kept) {
             tracing::error!(
                 scene = self.name.as_str(),
                 seq = seq.0,
@@ -340,10 +329,10 @@ impl Scene {
         })
     }
 
-    /// Reads the durable cubes: at once, or on a thread that may block while the writer takes a step.
+    /// Reads the durable bodies: at once, or on a thread that may block while the writer takes a step.
     async fn read<T: Send + 'static>(
         &self,
-        question: impl FnOnce(&View<'_>) -> T + Send + 'static,
+        question: impl FnOnce(&View<'_, K>) -> T + Send + 'static,
     ) -> Result<T, ServiceError> {
         let feed = self.feed()?;
         if let Some(view) = feed.set.try_view() {
@@ -353,10 +342,10 @@ impl Scene {
         answer.ok_or_else(|| self.refusal())
     }
 
-    /// Copies cubes on a thread that may block. Who has gone before it was their turn is passed over.
+    /// Copies bodies on a thread that may block. Who has gone before it was their turn is passed over.
     async fn copy<T: Send + 'static>(
         &self,
-        copy: impl FnOnce(&View<'_>) -> T + Send + 'static,
+        copy: impl FnOnce(&View<'_, K>) -> T + Send + 'static,
     ) -> Result<T, ServiceError> {
         let _turn = self.copies.acquire().await.expect("it is never closed");
         let feed = self.feed()?;
@@ -367,7 +356,7 @@ impl Scene {
     /// Reads the history on a thread that may block.
     async fn read_history<T: Send + 'static>(
         &self,
-        read: impl FnOnce(&HistoryReader) -> Result<T, LogError> + Send + 'static,
+        read: impl FnOnce(&HistoryReader<K>) -> Result<T, LogError> + Send + 'static,
     ) -> Result<T, ServiceError> {
         let feed = self.feed()?;
         blocking(move || read(&feed.history.lock()))
@@ -375,7 +364,7 @@ impl Scene {
             .map_err(ServiceError::from)
     }
 
-    fn feed(&self) -> Result<Arc<Feed>, ServiceError> {
+    fn feed(&self) -> Result<Arc<Feed<K>>, ServiceError> {
         match &**self.condition.load() {
             Condition::Running(feed) => Ok(feed.clone()),
             condition => Err(self.refusal_in(condition)),
@@ -387,7 +376,7 @@ impl Scene {
         self.refusal_in(&self.condition.load())
     }
 
-    fn refusal_in(&self, condition: &Condition) -> ServiceError {
+    fn refusal_in(&self, condition: &Condition<K>) -> ServiceError {
         match condition {
             Condition::Recovering => ServiceError::Recovering {
                 percent: self.percent(),
@@ -425,8 +414,44 @@ impl Scene {
     }
 }
 
-/// What the registry and the writer do with a scene.
+/// What only scenes of cubes have.
 impl Scene {
+    /// Edge of its cubes. One step while its log has not been opened ([`super::Service::scene`] refuses it then).
+    pub fn edge(&self) -> Edge {
+        let steps = self.header.get().map_or(1, |header| header.edge_steps);
+        Edge::new(i64::from(steps)).expect("an edge is checked before its header is kept")
+    }
+
+    /// The material that its cubes are cut from, if any. None while its log has not been opened.
+    pub fn stock(&self) -> Option<Stock> {
+        self.header.get().and_then(|header| header.stock)
+    }
+
+    /// Where a cube is.
+    pub async fn cube(&self, id: CubeId) -> Result<Option<Place>, ServiceError> {
+        self.body(id).await
+    }
+
+    /// All cubes as of one seq, in the order of the listing. O(cubes), and changes wait meanwhile.
+    pub async fn cubes(&self) -> Result<(Seq, Vec<(CubeId, Place)>), ServiceError> {
+        self.bodies().await
+    }
+
+    /// Where a point lies, and the cube of least id that holds it (closed cubes).
+    pub async fn contains(
+        &self,
+        point: [i32; 3],
+    ) -> Result<(Seq, Side, Option<(CubeId, Place)>), ServiceError> {
+        self.read(move |view| {
+            let (side, cube) = view.contains(point);
+            (view.seq(), side, cube)
+        })
+        .await
+    }
+}
+
+/// What the registry and the writer do with a scene.
+impl<K: SceneKind> SceneOf<K> {
     pub(super) fn new(name: SceneName, directory: PathBuf, setup: Arc<Setup>) -> Self {
         Self {
             name,
@@ -449,6 +474,11 @@ impl Scene {
         self.header.get_or_init(|| header.clone()) == header
     }
 
+    /// Its header, once its log has been opened.
+    pub(super) fn header(&self) -> Option<&Header> {
+        self.header.get()
+    }
+
     pub(super) fn has_header(&self) -> bool {
         self.header.get().is_some()
     }
@@ -461,7 +491,7 @@ impl Scene {
         *self.thread.lock() = Some(thread);
     }
 
-    pub(super) fn set_condition(&self, condition: Condition) {
+    pub(super) fn set_condition(&self, condition: Condition<K>) {
         self.condition.store(Arc::new(condition));
     }
 

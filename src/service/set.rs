@@ -1,4 +1,4 @@
-//! The cubes of a scene behind a lock: one writer, and readers who see the last durable state whatever the writer does.
+//! The bodies of a scene behind a lock: one writer, and readers who see the last durable state whatever the writer does.
 //!
 //! The engine runs ahead of what is durable, and while a change is applied it is between two states. Readers come in
 //! between the short steps of a change all the same: what the changes on their way do is kept until they are durable,
@@ -14,48 +14,57 @@ use std::collections::HashMap;
 use parking_lot::{Mutex, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
 use super::before::Before;
-use super::places::Places;
+use super::kind::SceneKind;
 use super::{Published, Seq};
 use crate::engine::{Access, Cursor, Engine, Held, Side};
 use crate::geometry::{CubeId, Effect, Place};
+use crate::log::Cubes;
 
-/// The cubes of a scene.
-pub(super) struct CubeSet {
-    state: RwLock<State>,
+/// The bodies of a scene.
+pub struct BodySet<K: SceneKind> {
+    state: RwLock<State<K>>,
     /// Empty, with the room that the last changes took: used in turn with the one in the state, so that a busy scene does not ask for
     /// memory again and again.
-    spare: Mutex<Ahead>,
+    spare: Mutex<Ahead<K>>,
 }
 
-struct State {
-    engine: Engine,
+struct State<K: SceneKind> {
+    engine: K::Engine,
     /// The last durable state.
-    durable: Published,
+    durable: Published<K>,
     /// What the changes since have done, or are about to do.
-    ahead: Ahead,
+    ahead: Ahead<K>,
     /// False in the middle of a step; a reader finds it so only when the step has panicked.
     is_whole: bool,
 }
 
-/// How to come back from the engine's cubes to the durable ones. Looking something up takes no longer for many changes than for few.
-#[derive(Default)]
-struct Ahead {
-    before: Before,
+/// How to come back from the engine's bodies to the durable ones. Looking something up takes no longer for many changes than for few.
+struct Ahead<K: SceneKind> {
+    before: Before<K>,
     /// Those that `before` knows to have been somewhere, by where.
-    places: Places,
+    near: K::Near,
 }
 
-/// Cubes of an effect that one step notes.
+impl<K: SceneKind> Default for Ahead<K> {
+    fn default() -> Self {
+        Self {
+            before: Before::default(),
+            near: K::Near::default(),
+        }
+    }
+}
+
+/// Bodies of an effect that one step notes.
 const NOTED_A_STEP: usize = 256;
 
-/// Cubes on their way that a page passes over before it ends early.
+/// Bodies on their way that a page passes over before it ends early.
 const PASSED_OVER_MAX: usize = if cfg!(test) { 64 } else { 4096 };
 
 /// The last durable state, held while it is read.
-pub(super) struct View<'a>(RwLockReadGuard<'a, State>);
+pub(super) struct View<'a, K: SceneKind>(RwLockReadGuard<'a, State<K>>);
 
-impl CubeSet {
-    pub(super) fn new(engine: Engine, durable: &Published) -> Self {
+impl<K: SceneKind> BodySet<K> {
+    pub(super) fn new(engine: K::Engine, durable: &Published<K>) -> Self {
         Self {
             state: RwLock::new(State {
                 engine,
@@ -68,34 +77,34 @@ impl CubeSet {
     }
 
     /// The durable state, once a step that is being taken is over; none when a step has failed.
-    pub(super) fn view(&self) -> Option<View<'_>> {
+    pub(super) fn view(&self) -> Option<View<'_, K>> {
         View::of(self.state.read())
     }
 
     /// The same without waiting; none also while a step is being taken.
-    pub(super) fn try_view(&self) -> Option<View<'_>> {
+    pub(super) fn try_view(&self) -> Option<View<'_, K>> {
         self.state.try_read().and_then(View::of)
     }
 
     /// Applies an effect that was judged against the engine: the engine is ahead then.
-    pub(super) fn apply(&self, effect: &Effect) {
-        let applied = if Engine::applies_at_once(effect) {
+    pub(super) fn apply(&self, effect: &Effect<K::Body>) {
+        let fits = if K::applies_at_once(effect) {
             self.write(|state| {
                 state.is_whole = false;
                 state.note(&effect.deleted, &effect.inserted);
-                let applied = state.engine.apply(effect);
+                let fits = K::apply(&mut state.engine, effect);
                 state.is_whole = true;
-                applied
+                fits
             })
         } else {
             self.note(effect);
-            Engine::apply_through(self, effect)
+            K::apply_in_steps(self, effect)
         };
-        applied.expect("an effect fits the set that it was judged against");
+        assert!(fits, "an effect fits the set that it was judged against");
     }
 
     /// What the engine is ahead of is durable now; `show` tells those who do not look here, before anybody looks here.
-    pub(super) fn advance(&self, durable: &Published, show: impl FnOnce()) {
+    pub(super) fn advance(&self, durable: &Published<K>, show: impl FnOnce()) {
         let mut spare = self.spare.lock();
         self.write(|state| {
             state.durable = *durable;
@@ -104,12 +113,12 @@ impl CubeSet {
         });
         // While others read already.
         spare.before.clear();
-        spare.places.clear();
+        K::clear_near(&mut spare.near);
     }
 
-    /// Notes a large effect before it is applied, in short steps. What is noted of a cube is true as long as nothing is applied, so
+    /// Notes a large effect before it is applied, in short steps. What is noted of a body is true as long as nothing is applied, so
     /// readers may come in between.
-    fn note(&self, effect: &Effect) {
+    fn note(&self, effect: &Effect<K::Body>) {
         for some in effect.deleted.chunks(NOTED_A_STEP) {
             self.write(|state| state.note(some, &[]));
         }
@@ -119,7 +128,7 @@ impl CubeSet {
     }
 
     /// Reads the engine while it is at the durable state, as it is between two groups.
-    pub(super) fn look_durable<T>(&self, look: impl FnOnce(&Engine) -> T) -> T {
+    pub(super) fn look_durable<T>(&self, look: impl FnOnce(&K::Engine) -> T) -> T {
         let state = self.state.read();
         assert!(
             state.ahead.before.is_empty(),
@@ -128,12 +137,27 @@ impl CubeSet {
         look(&state.engine)
     }
 
-    /// Number of cubes in the engine.
+    /// Number of bodies in the engine.
     pub(super) fn len(&self) -> u64 {
-        self.look(Engine::len)
+        self.look_at(|engine| K::count(&K::totals(engine)))
     }
 
-    fn write<T>(&self, write: impl FnOnce(&mut State) -> T) -> T {
+    /// Reads the engine, which may be ahead of the durable state.
+    pub(super) fn look_at<T>(&self, look: impl FnOnce(&K::Engine) -> T) -> T {
+        look(&self.state.read().engine)
+    }
+
+    /// Takes a step of a change that was noted, while nobody reads.
+    pub(super) fn step_of<T>(&self, step: impl FnOnce(&mut K::Engine) -> T) -> T {
+        self.write(|state| {
+            state.is_whole = false;
+            let result = step(&mut state.engine);
+            state.is_whole = true;
+            result
+        })
+    }
+
+    fn write<T>(&self, write: impl FnOnce(&mut State<K>) -> T) -> T {
         let mut state = self.state.write();
         let result = write(&mut state);
         // To those who wait, before the next step.
@@ -142,41 +166,36 @@ impl CubeSet {
     }
 }
 
-impl Access for CubeSet {
+impl Access for BodySet<Cubes> {
     fn look<T>(&self, look: impl FnOnce(&Engine) -> T) -> T {
-        look(&self.state.read().engine)
+        self.look_at(look)
     }
 
     fn step<T>(&self, step: impl FnOnce(&mut Engine) -> T) -> T {
-        self.write(|state| {
-            state.is_whole = false;
-            let result = step(&mut state.engine);
-            state.is_whole = true;
-            result
-        })
+        self.step_of(step)
     }
 }
 
-impl State {
-    fn note(&mut self, deleted: &[(CubeId, Place)], inserted: &[(CubeId, Place)]) {
-        let Ahead { before, places } = &mut self.ahead;
-        for &(id, place) in deleted {
-            if before.note_deleted(id, place) {
-                places.insert(id, place, self.engine.edge());
+impl<K: SceneKind> State<K> {
+    fn note(&mut self, deleted: &[(CubeId, K::Body)], inserted: &[(CubeId, K::Body)]) {
+        let Ahead { before, near } = &mut self.ahead;
+        for (id, body) in deleted {
+            if before.note_deleted(*id, body.clone()) {
+                K::note_near(near, &self.engine, *id, body);
             }
         }
-        for &(id, place) in inserted {
-            before.note_inserted(id, place);
+        for (id, body) in inserted {
+            before.note_inserted(*id, body.clone());
         }
     }
 }
 
-impl<'a> View<'a> {
-    fn of(state: RwLockReadGuard<'a, State>) -> Option<Self> {
+impl<'a, K: SceneKind> View<'a, K> {
+    fn of(state: RwLockReadGuard<'a, State<K>>) -> Option<Self> {
         state.is_whole.then_some(Self(state))
     }
 
-    pub(super) fn published(&self) -> Published {
+    pub(super) fn published(&self) -> Published<K> {
         self.0.durable
     }
 
@@ -184,35 +203,44 @@ impl<'a> View<'a> {
         self.0.durable.seq
     }
 
-    /// Where a cube is.
-    pub(super) fn cube(&self, id: CubeId) -> Option<Place> {
-        self.0.ahead.before.place(&self.0.engine, id)
+    /// The body of this id.
+    pub(super) fn body(&self, id: CubeId) -> Option<K::Body> {
+        self.0.ahead.before.body(&self.0.engine, id)
     }
 
-    /// Up to `limit` cubes after the cursor (from the beginning without one), and the cursor to go on after when more may follow. A page
-    /// that meets very many cubes on their way ends before it is full. O(limit).
+    /// Up to `limit` bodies after the cursor (from the beginning without one), and the cursor to go on after when more may follow. A page
+    /// that meets very many bodies on their way ends before it is full. O(limit).
     pub(super) fn page(
         &self,
         after: Option<Cursor>,
         limit: usize,
-    ) -> (Vec<(CubeId, Place)>, Option<Cursor>) {
+    ) -> (Vec<(CubeId, K::Body)>, Option<Cursor>) {
         let (mut page, mut last) = (Vec::new(), after);
         let looked_at_max = limit.saturating_add(PASSED_OVER_MAX);
-        for (looked_at, (cursor, cube)) in self.listing(after).enumerate() {
-            if (cube.is_some() && page.len() == limit) || looked_at == looked_at_max {
+        for (looked_at, (cursor, body)) in self.listing(after).enumerate() {
+            if (body.is_some() && page.len() == limit) || looked_at == looked_at_max {
                 return (page, last);
             }
             last = Some(cursor);
-            page.extend(cube);
+            page.extend(body);
         }
         (page, None)
     }
 
-    /// All cubes, in the order of the listing.
-    pub(super) fn cubes(&self) -> impl Iterator<Item = (CubeId, Place)> + '_ {
-        self.listing(None).filter_map(|(_, cube)| cube)
+    /// All bodies, in the order of the listing.
+    pub(super) fn bodies(&self) -> impl Iterator<Item = (CubeId, K::Body)> + '_ {
+        self.listing(None).filter_map(|(_, body)| body)
     }
 
+    fn listing(
+        &self,
+        after: Option<Cursor>,
+    ) -> impl Iterator<Item = (Cursor, Option<(CubeId, K::Body)>)> + '_ {
+        self.0.ahead.before.listing(&self.0.engine, after)
+    }
+}
+
+impl View<'_, Cubes> {
     /// Where a point lies, and the cube of least id that holds it. O(cubes around it).
     pub(super) fn contains(&self, point: [i32; 3]) -> (Side, Option<(CubeId, Place)>) {
         let State { engine, ahead, .. } = &*self.0;
@@ -225,19 +253,12 @@ impl<'a> View<'a> {
                 holders.insert(id, place);
             }
         });
-        holders.extend(ahead.places.holding(point, engine.edge()));
+        holders.extend(ahead.near.holding(point, engine.edge()));
         let mut held = Held::new(engine.edge(), point);
         for (id, place) in holders {
             held.by(id, place);
         }
         held.answer()
-    }
-
-    fn listing(
-        &self,
-        after: Option<Cursor>,
-    ) -> impl Iterator<Item = (Cursor, Option<(CubeId, Place)>)> + '_ {
-        self.0.ahead.before.listing(&self.0.engine, after)
     }
 }
 
@@ -263,7 +284,7 @@ mod tests {
 
     /// A reader who comes after every step and look, and knows what it must find.
     struct Reader<'a> {
-        set: &'a CubeSet,
+        set: &'a BodySet<Cubes>,
         durable: &'a BTreeMap<CubeId, Place>,
         points: &'a [[i32; 3]],
         ids: &'a [CubeId],
@@ -273,10 +294,10 @@ mod tests {
         fn read(&self) {
             let view = self.set.view().unwrap();
             for id in self.ids {
-                assert_eq!(view.cube(*id), self.durable.get(id).copied());
+                assert_eq!(view.body(*id), self.durable.get(id).copied());
             }
             let mut expected = self.durable.iter().map(|(id, place)| (*id, *place));
-            let mut listed: Vec<_> = view.cubes().collect();
+            let mut listed: Vec<_> = view.bodies().collect();
             assert!(listed.is_sorted_by_key(|(id, _)| Cursor::of(*id)));
             listed.sort_unstable_by_key(|(id, _)| *id);
             assert!(listed.into_iter().eq(expected.by_ref()));
@@ -290,7 +311,7 @@ mod tests {
                     break;
                 }
             }
-            assert!(paged.into_iter().eq(view.cubes()));
+            assert!(paged.into_iter().eq(view.bodies()));
             for point in self.points {
                 let mut alone = Held::new(Edge::new(EDGE.into()).unwrap(), *point);
                 for (id, place) in self.durable {
@@ -328,7 +349,7 @@ mod tests {
             at_ms: 0,
             totals: Totals::default(),
         };
-        let set = CubeSet::new(Engine::new(Edge::new(1).unwrap()), &state(0));
+        let set = BodySet::<Cubes>::new(Engine::new(Edge::new(1).unwrap()), &state(0));
         assert!(set.try_view().is_some());
         set.advance(&state(1), || assert!(set.try_view().is_none()));
         assert_eq!(set.view().unwrap().published(), state(1));
@@ -345,7 +366,7 @@ mod tests {
                 at_ms: 0,
                 totals: Totals::default(),
             };
-            let set = CubeSet::new(Engine::new(edge), &empty);
+            let set = BodySet::<Cubes>::new(Engine::new(edge), &empty);
             let mut durable: BTreeMap<CubeId, Place> = BTreeMap::new();
             for change in 0..30 {
                 let mut later = durable.clone();
@@ -404,7 +425,7 @@ mod tests {
             at_ms: 0,
             totals: Totals::default(),
         };
-        let set = CubeSet::new(Engine::new(edge), &empty);
+        let set = BodySet::<Cubes>::new(Engine::new(edge), &empty);
         let mut random = Random::new(1);
         let inserted: Vec<_> = (0..1000)
             .map(|id| (CubeId(id), place(&mut random, edge)))

@@ -10,58 +10,67 @@
 use std::time::Instant;
 
 use super::before::Before;
+use super::kind::SceneKind;
 use super::next_id::NextId;
-use super::set::CubeSet;
+use super::set::BodySet;
 use super::{Published, meters};
-use crate::engine::{Cursor, Engine};
-use crate::geometry::{CubeId, Effect, Place};
-use crate::log::{LogError, SceneLog};
+use crate::engine::Cursor;
+use crate::geometry::{CubeId, Effect};
+use crate::log::{Log, LogError};
 
 /// What is being done.
-pub(super) enum Upkeep {
+pub(super) enum Upkeep<K: SceneKind> {
     /// Nothing, until the log wants something (and not before the time, if any).
     Rest(Option<Instant>),
     /// A snapshot is being written.
-    Snapshot(Copying),
+    Snapshot(Copying<K>),
     /// What the snapshot made superfluous is being dropped.
     Trim,
 }
 
-/// A set of cubes that is read as of one moment, some at a time, while it changes.
-#[derive(Default)]
-pub(super) struct Copying {
-    /// The last cube read.
+/// A set of bodies that is read as of one moment, some at a time, while it changes.
+pub(super) struct Copying<K: SceneKind> {
+    /// The last body read.
     after: Option<Cursor>,
-    /// Where the cubes that have changed since were, as far as they come later.
-    before: Before,
+    /// What the bodies that have changed since were, as far as they come later.
+    before: Before<K>,
 }
 
-impl Copying {
-    /// Takes note of a change that has been made to the set.
-    fn note(&mut self, effect: &Effect) {
-        let comes = |id| Some(Cursor::of(id)) > self.after;
-        for &(id, place) in effect.deleted.iter().filter(|(id, _)| comes(*id)) {
-            self.before.note_deleted(id, place);
+impl<K: SceneKind> Default for Copying<K> {
+    fn default() -> Self {
+        Self {
+            after: None,
+            before: Before::default(),
         }
-        for &(id, place) in effect.inserted.iter().filter(|(id, _)| comes(*id)) {
-            self.before.note_inserted(id, place);
+    }
+}
+
+impl<K: SceneKind> Copying<K> {
+    /// Takes note of a change that has been made to the set.
+    fn note(&mut self, effect: &Effect<K::Body>) {
+        let comes = |id| Some(Cursor::of(id)) > self.after;
+        for (id, body) in effect.deleted.iter().filter(|(id, _)| comes(*id)) {
+            self.before.note_deleted(*id, body.clone());
+        }
+        for (id, body) in effect.inserted.iter().filter(|(id, _)| comes(*id)) {
+            self.before.note_inserted(*id, body.clone());
         }
     }
 
-    /// The next cubes, at most so many: fewer where cubes were inserted since, and none at the end. O(cubes asked for).
-    fn next(&mut self, engine: &Engine, cubes_max: usize) -> Vec<(CubeId, Place)> {
-        let mut cubes = Vec::new();
-        for (cursor, cube) in self.before.listing(engine, self.after).take(cubes_max) {
-            cubes.extend(cube);
+    /// The next bodies, at most so many: fewer where bodies were inserted since, and none at the end. O(bodies asked for).
+    fn next(&mut self, engine: &K::Engine, bodies_max: usize) -> Vec<(CubeId, K::Body)> {
+        let mut bodies = Vec::new();
+        for (cursor, body) in self.before.listing(engine, self.after).take(bodies_max) {
+            bodies.extend(body);
             self.after = Some(cursor);
         }
-        cubes
+        bodies
     }
 }
 
-impl Upkeep {
+impl<K: SceneKind> Upkeep<K> {
     /// Whether there is something to do while nobody asks.
-    pub(super) fn waits(&self, log: &SceneLog, set: &CubeSet) -> bool {
+    pub(super) fn waits(&self, log: &Log<K>, set: &BodySet<K>) -> bool {
         match self {
             Self::Rest(after) => {
                 after.is_none_or(|after| Instant::now() >= after)
@@ -72,7 +81,7 @@ impl Upkeep {
     }
 
     /// Takes note of a change that is durable now.
-    pub(super) fn note(&mut self, effect: &Effect) {
+    pub(super) fn note(&mut self, effect: &Effect<K::Body>) {
         if let Self::Snapshot(copying) = self {
             copying.note(effect);
         }
@@ -81,9 +90,9 @@ impl Upkeep {
     /// One step, short enough that changes hardly wait for it; of a snapshot, so many cubes. The set is at its durable state.
     pub(super) fn step(
         &mut self,
-        log: &mut SceneLog,
-        set: &CubeSet,
-        published: &Published,
+        log: &mut Log<K>,
+        set: &BodySet<K>,
+        published: &Published<K>,
         next_id: NextId,
         snapshot_step_cubes: usize,
     ) -> Result<(), LogError> {
@@ -95,13 +104,13 @@ impl Upkeep {
             Self::Rest(_) => *self = Self::Trim,
             Self::Snapshot(copying) => {
                 let before = copying.after;
-                let cubes = set.look_durable(|engine| copying.next(engine, snapshot_step_cubes));
+                let bodies = set.look_durable(|engine| copying.next(engine, snapshot_step_cubes));
                 if copying.after == before {
                     log.snapshot_finish()?;
                     meters::snapshot_written();
                     *self = Self::Trim;
                 } else {
-                    log.snapshot_add(&cubes)?;
+                    log.snapshot_add(&bodies)?;
                 }
             }
             Self::Trim => {
@@ -119,7 +128,9 @@ mod tests {
     use std::collections::BTreeMap;
 
     use super::*;
-    use crate::geometry::Edge;
+    use crate::engine::Engine;
+    use crate::geometry::{Edge, Place};
+    use crate::log::Cubes;
     use crate::random::Random;
 
     /// Whatever changes between two steps (cubes come, go, move, and the table grows and shrinks): what is read is the set as it was at
@@ -152,7 +163,7 @@ mod tests {
                 change(&mut engine, 400, 300);
             }
             let expected: Vec<_> = engine.cubes().collect();
-            let mut copying = Copying::default();
+            let mut copying = Copying::<Cubes>::default();
             let mut copied = Vec::new();
             let step = [1, 7, 64][usize::try_from(seed % 3).unwrap()];
             loop {

@@ -15,27 +15,28 @@ use super::failpoint::{self, FailPoint};
 use super::feed::Feed;
 use super::inbox::{Pending, Reply};
 use super::judge::{Accepted, Judging, Unfit};
+use super::kind::SceneKind;
 use super::next_id::NextId;
-use super::scene::{Condition, Scene};
+use super::scene::{Condition, SceneOf};
 use super::upkeep::Upkeep;
-use super::{Applied, Motion, Published, Seq, ServiceError, Submission, meters};
-use crate::engine::{Access, Counts, Engine};
-use crate::geometry::{Effect, Totals};
-use crate::log::{KeyRecord, LogError, Record, RecordedOutcome, SceneLog};
+use super::{Applied, Motion, Operations, Published, Seq, ServiceError, Submission, meters};
+use crate::engine::Counts;
+use crate::geometry::Effect;
+use crate::log::{KeyRecord, Log, LogError, Record, RecordedOutcome};
 
 /// Upkeep that did not fit the disk is tried again after this many probe intervals.
 const UPKEEP_PAUSE_PROBES: u32 = 60;
 
 /// Owns what a running scene changes.
-pub(super) struct Writer {
-    log: SceneLog,
+pub(super) struct Writer<K: SceneKind> {
+    log: Log<K>,
     /// Newest durable state; the engine, which is in the feed, is at it between two groups.
-    published: Published,
+    published: Published<K>,
     next_id: NextId,
-    feed: Arc<Feed>,
-    upkeep: Upkeep,
+    feed: Arc<Feed<K>>,
+    upkeep: Upkeep<K>,
     /// Whose commit has failed.
-    pub(super) unanswered: Vec<Reply>,
+    pub(super) unanswered: Vec<Reply<K>>,
 }
 
 /// Why a scene does not run.
@@ -54,21 +55,25 @@ impl From<LogError> for Halt {
 }
 
 /// What is told to a client once the commit is durable.
-type Outcome = Result<Applied, ServiceError>;
+type Outcome<K> = Result<Applied<K>, ServiceError>;
 
 /// What shares one commit.
-#[derive(Default)]
-struct Group {
-    records: Vec<Record>,
+struct Group<K: SceneKind> {
+    records: Vec<Record<K>>,
     /// Net counts of the records.
     net: Vec<Counts>,
-    keys: Vec<KeyRecord>,
+    keys: Vec<KeyRecord<K>>,
     /// Index in `keys`, by key.
     keyed: HashMap<Box<str>, usize>,
 }
 
-impl Writer {
-    pub(super) fn new(log: SceneLog, published: &Published, next_id: NextId, feed: Feed) -> Self {
+impl<K: SceneKind> Writer<K> {
+    pub(super) fn new(
+        log: Log<K>,
+        published: &Published<K>,
+        next_id: NextId,
+        feed: Feed<K>,
+    ) -> Self {
         Self {
             log,
             published: *published,
@@ -80,12 +85,12 @@ impl Writer {
     }
 
     /// Newest durable state.
-    pub(super) fn published(&self) -> &Published {
+    pub(super) fn published(&self) -> &Published<K> {
         &self.published
     }
 
     /// Lets callers in: readers are answered at once, changes as soon as the thread runs.
-    pub(super) fn begin(&self, scene: &Scene) {
+    pub(super) fn begin(&self, scene: &SceneOf<K>) {
         scene.set_permille(1000);
         // The inbox first: who sees the scene running may change it at once. Nothing is taken from it before this returns.
         scene.inbox.open();
@@ -94,7 +99,7 @@ impl Writer {
     }
 
     /// Serves until the log fails or the end comes.
-    pub(super) fn serve(&mut self, scene: &Scene) -> Halt {
+    pub(super) fn serve(&mut self, scene: &SceneOf<K>) -> Halt {
         let group_operations_max = scene.setup.config.group_operations_max;
         loop {
             let idle_work = self.upkeep.waits(&self.log, &self.feed.set);
@@ -108,7 +113,7 @@ impl Writer {
     }
 
     /// Judges, applies, logs, publishes and answers one group.
-    fn commit(&mut self, scene: &Scene, pending: Vec<Pending>) -> Result<(), LogError> {
+    fn commit(&mut self, scene: &SceneOf<K>, pending: Vec<Pending<K>>) -> Result<(), LogError> {
         if pending.is_empty() {
             return Ok(());
         }
@@ -143,11 +148,16 @@ impl Writer {
     /// Applies what is accepted of a group and appends it with one sync.
     fn make_durable(
         &mut self,
-        scene: &Scene,
-        submissions: Vec<Submission>,
-        replies: &[Reply],
-    ) -> Result<(Group, Vec<Outcome>), LogError> {
-        let mut group = Group::default();
+        scene: &SceneOf<K>,
+        submissions: Vec<Submission<K>>,
+        replies: &[Reply<K>],
+    ) -> Result<(Group<K>, Vec<Outcome<K>>), LogError> {
+        let mut group = Group {
+            records: Vec::new(),
+            net: Vec::new(),
+            keys: Vec::new(),
+            keyed: HashMap::new(),
+        };
         let mut outcomes = Vec::with_capacity(submissions.len());
         for (submission, reply) in submissions.into_iter().zip(replies) {
             let outcome = if reply.is_abandoned() {
@@ -170,16 +180,19 @@ impl Writer {
     /// Judges a change, unless its key was met before, and applies it: the engine is then ahead of the log.
     fn judge(
         &mut self,
-        scene: &Scene,
-        group: &mut Group,
-        submission: Submission,
-    ) -> Result<Outcome, LogError> {
+        scene: &SceneOf<K>,
+        group: &mut Group<K>,
+        submission: Submission<K>,
+    ) -> Result<Outcome<K>, LogError> {
         let Submission {
             operations,
             counting,
             motion,
             key,
         } = submission;
+        if let Operations::Define(definition) = operations {
+            return self.define(&definition);
+        }
         if let Some((key, body)) = &key
             && let Some(earlier) = self.met_before(group, key)?
         {
@@ -189,13 +202,13 @@ impl Writer {
                 Err(ServiceError::KeyReused)
             });
         }
-        let accepted = self.feed.set.look(|engine| {
+        let accepted = self.feed.set.look_at(|engine| {
             let judging = Judging {
                 engine,
                 newest: group.newest().unwrap_or(self.published).seq,
                 log: &self.log,
                 next_id: self.next_id,
-                cubes_max: scene.setup.config.scene_cubes_max,
+                config: &scene.setup.config,
             };
             judging.judge(operations, counting)
         });
@@ -216,31 +229,54 @@ impl Writer {
         Ok(Ok(applied))
     }
 
+    /// Makes a definition durable and shows it. It is a group of its own, and takes no seq.
+    fn define(&mut self, definition: &[u8]) -> Result<Outcome<K>, LogError> {
+        let mut context = self.log.context().clone();
+        let answer = Ok(Applied {
+            published: self.published,
+            counts: Counts::default(),
+            assigned: None,
+            volume_removed: 0,
+            replayed: false,
+        });
+        if K::is_defined(&context, definition) {
+            return Ok(answer);
+        }
+        if let Err(malformed) = K::define(&mut context, definition) {
+            return Ok(Err(ServiceError::NotDefined {
+                cause: malformed.to_string(),
+            }));
+        }
+        self.log.define(definition)?;
+        self.feed.context.store(Arc::new(context));
+        Ok(answer)
+    }
+
     /// What was answered to a key, in this group or before.
-    fn met_before(&self, group: &Group, key: &str) -> Result<Option<KeyRecord>, LogError> {
+    fn met_before(&self, group: &Group<K>, key: &str) -> Result<Option<KeyRecord<K>>, LogError> {
         match group.keyed.get(key) {
             Some(&index) => Ok(Some(group.keys[index].clone())),
             None => self.log.key(key),
         }
     }
 
-    fn apply(&mut self, group: &mut Group, accepted: Accepted, motion: Motion) -> Applied {
+    fn apply(&mut self, group: &mut Group<K>, accepted: Accepted<K>, motion: Motion) -> Applied<K> {
         let mut published = group.newest().unwrap_or(self.published);
         let mut volume_removed = 0;
         // A move that cuts nothing is a change too; but operations sent again that are done already are none.
         let is_move = motion.is_said() && accepted.net.unchanged == 0;
-        if accepted.effect != Effect::default() || is_move {
+        if accepted.effect != Effect::<K::Body>::default() || is_move {
             self.feed.set.apply(&accepted.effect);
-            for &(id, _) in &accepted.effect.inserted {
-                self.next_id.pass(id);
+            for (id, _) in &accepted.effect.inserted {
+                self.next_id.pass(*id);
             }
-            let before = removed(&published.totals);
+            let before = K::removed(&published.totals);
             published = Published {
                 seq: Seq(published.seq.0 + 1),
                 at_ms: now_ms().max(published.at_ms),
-                totals: self.feed.set.look(Engine::totals),
+                totals: self.feed.set.look_at(K::totals),
             };
-            volume_removed = removed(&published.totals) - before;
+            volume_removed = K::removed(&published.totals) - before;
             group.net.push(accepted.net);
             group.records.push(Record {
                 seq: published.seq,
@@ -262,7 +298,7 @@ impl Writer {
     }
 
     /// One step of upkeep, if there is one to take.
-    fn keep_up(&mut self, scene: &Scene) -> Result<(), LogError> {
+    fn keep_up(&mut self, scene: &SceneOf<K>) -> Result<(), LogError> {
         let Self {
             log, feed, upkeep, ..
         } = self;
@@ -286,13 +322,13 @@ impl Writer {
     }
 }
 
-impl Group {
+impl<K: SceneKind> Group<K> {
     fn is_empty(&self) -> bool {
         self.records.is_empty() && self.keys.is_empty()
     }
 
     /// The state after the newest of its records.
-    fn newest(&self) -> Option<Published> {
+    fn newest(&self) -> Option<Published<K>> {
         self.records.last().map(|record| Published {
             seq: record.seq,
             at_ms: record.at_ms,
@@ -301,15 +337,7 @@ impl Group {
     }
 }
 
-/// Volume that is gone: from the stock, or into the union where there is no stock.
-fn removed(totals: &Totals) -> i128 {
-    match &totals.stock {
-        Some(stock) => stock.removed.volume,
-        None => totals.measures.volume,
-    }
-}
-
-fn recorded(applied: &Applied) -> RecordedOutcome {
+fn recorded<K: SceneKind>(applied: &Applied<K>) -> RecordedOutcome<K> {
     RecordedOutcome {
         seq: applied.published.seq,
         at_ms: applied.published.at_ms,
@@ -322,7 +350,7 @@ fn recorded(applied: &Applied) -> RecordedOutcome {
     }
 }
 
-fn replayed(answer: &RecordedOutcome) -> Applied {
+fn replayed<K: SceneKind>(answer: &RecordedOutcome<K>) -> Applied<K> {
     Applied {
         published: Published {
             seq: answer.seq,

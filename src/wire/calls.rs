@@ -35,8 +35,8 @@ pub(super) fn open(service: &Service, name: &str) -> Result<(Arc<Scene>, Arc<Set
 }
 
 /// The name of a scene's life, in a form that every JSON reader keeps exact.
-pub(super) fn incarnation(scene: &Scene) -> String {
-    format!("{:016x}", scene.incarnation())
+pub(super) fn incarnation(number: u64) -> String {
+    format!("{number:016x}")
 }
 
 /// A name that a scene can have.

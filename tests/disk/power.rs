@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use union3d::geometry::Totals;
-use union3d::service::Offline;
+use union3d::service::{AnyAudit, Offline};
 
 use super::Random;
 use super::disk::{Disk, Event, temporary};
@@ -43,7 +43,9 @@ fn recover(root: &Path) -> Result<Found, String> {
         if let Some(lost) = audit.notices.iter().find(|notice| notice.contains("lost")) {
             return Err(lost.clone());
         }
-        let audit = audit.audit;
+        let AnyAudit::Cubes(audit) = audit.audit else {
+            return Err(format!("{}: of another kind", name.as_str()));
+        };
         if audit.kept != audit.recounted {
             return Err(format!("{}: differs from a recount", name.as_str()));
         }

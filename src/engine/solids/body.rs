@@ -8,9 +8,7 @@ use crate::geometry::convex::{InvalidSolid, InvalidSweep, Point, Solid};
 /// Most convex parts of a shape: 64.
 pub const PARTS_MAX: usize = 64;
 
-/// The client's own name of a body, unique in its scene.
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
-pub struct SolidId(pub u64);
+pub use crate::geometry::CubeId as SolidId;
 
 /// One or several convex solids around an anchor at the origin, to be carried about.
 #[derive(Clone, Debug)]
@@ -55,6 +53,11 @@ impl Shape {
     pub fn with_top(mut self, top: i32) -> Self {
         self.top = Some(top);
         self
+    }
+
+    /// The height that its top reaches up to wherever it is carried, if any.
+    pub fn top(&self) -> Option<i32> {
+        self.top
     }
 
     /// The convex parts around the anchor.
@@ -144,6 +147,14 @@ impl Body {
         }
     }
 
+    /// The solid that was given where it is; none for a swept shape.
+    pub fn hull(&self) -> Option<&Solid> {
+        match &self.0 {
+            Kind::Swept { .. } => None,
+            Kind::Solid(solid) => Some(solid),
+        }
+    }
+
     /// The box around it.
     pub fn bounds(&self) -> Bounds {
         let boxes = (0..self.len()).map(|part| self.part_bounds(part));
@@ -184,18 +195,28 @@ impl PartialEq for Body {
                     from: other_from,
                     to: other_to,
                 },
-            ) => Arc::ptr_eq(shape, other_shape) && from == other_from && to == other_to,
-            (Kind::Solid(a), Kind::Solid(b)) => {
-                let sorted = |solid: &Solid| {
-                    let mut vertices = solid.vertices().to_vec();
-                    vertices.sort_unstable();
-                    vertices
-                };
-                Arc::ptr_eq(a, b) || sorted(a) == sorted(b)
-            }
+            ) => from == other_from && to == other_to && shape == other_shape,
+            (Kind::Solid(a), Kind::Solid(b)) => Arc::ptr_eq(a, b) || sorted(a) == sorted(b),
             _ => false,
         }
     }
 }
+
+/// What makes a solid: its vertices, in an order of their own.
+fn sorted(solid: &Solid) -> Vec<Point> {
+    let mut vertices = solid.vertices().to_vec();
+    vertices.sort_unstable();
+    vertices
+}
+
+/// The same parts in the same order, and the same top. `Arc`s of shapes compare by their addresses first.
+impl PartialEq for Shape {
+    fn eq(&self, other: &Self) -> bool {
+        let parts = self.parts.iter().map(sorted);
+        self.top == other.top && parts.eq(other.parts.iter().map(sorted))
+    }
+}
+
+impl Eq for Shape {}
 
 impl Eq for Body {}

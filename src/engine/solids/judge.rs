@@ -6,24 +6,10 @@ use super::super::Counts;
 use super::{Body, Effect, Engine, SOLIDS_MAX, SolidId};
 
 /// One operation on a scene's set of bodies.
-#[derive(Clone, PartialEq, Eq, Debug)]
-pub enum Op {
-    /// Delete the body of this id; nothing happens when there is none.
-    Delete(SolidId),
-    /// Insert a body; nothing happens when this id has the same body already.
-    Insert(SolidId, Body),
-}
+pub type Op = crate::engine::Op<Body>;
 
 /// The judgement of a sequence of operations that can be applied.
-#[derive(Clone, PartialEq, Eq, Debug, Default)]
-pub struct Judged {
-    /// What to apply.
-    pub effect: Effect,
-    /// Counts of the operations one after the other, as a stream reports them.
-    pub in_order: Counts,
-    /// Counts by net effect, as an atomic change reports them.
-    pub net: Counts,
-}
+pub type Judged = crate::engine::Judged<Body>;
 
 /// Why a sequence of operations is refused as a whole.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, thiserror::Error)]

@@ -86,14 +86,8 @@ pub const SOLIDS_MAX: u64 = 1 << 24;
 /// Bytes of prepared pieces that stay between changes, unless [`Engine::with_prepared`] says otherwise: 256 MiB.
 pub const PREPARED_BYTES: usize = 256 << 20;
 
-/// The difference between two sets of bodies: an id with the same body in both is in neither list. Order: by id's first appearance.
-#[derive(Clone, PartialEq, Eq, Debug, Default)]
-pub struct Effect {
-    /// Bodies that go.
-    pub deleted: Vec<(SolidId, Body)>,
-    /// Bodies that come.
-    pub inserted: Vec<(SolidId, Body)>,
-}
+/// The difference between two sets of bodies.
+pub type Effect = crate::geometry::Effect<Body>;
 
 /// An effect does not fit the set it is applied to: an inserted id is present, or a deleted one absent or another body.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, thiserror::Error)]

@@ -2,8 +2,8 @@
 
 use crate::engine::Side;
 use crate::geometry::{CubeId, Place};
-use crate::service::{Applied, HistoryRow, Published, Scene, SceneState};
-use crate::wire::calls::{self, incarnation};
+use crate::service::{AnyScene, Applied, HistoryRow, Published, Scene, SceneState};
+use crate::wire::calls;
 use crate::wire::convert::{self, Anchor, Rounding, Settings};
 use crate::wire::problem::{Fault, Problem};
 use crate::wire::proto;
@@ -37,8 +37,8 @@ pub(super) fn unknown(field: &'static str, sent: i32) -> Problem {
     .into()
 }
 
-pub(super) fn scene(scene: &Scene) -> proto::Scene {
-    let published = scene.published().ok();
+pub(super) fn scene(scene: &AnyScene) -> proto::Scene {
+    let newest = scene.newest();
     let (state, percent, cause) = match scene.state() {
         SceneState::Running => (proto::SceneState::Running, None, None),
         SceneState::Recovering { percent } => {
@@ -49,10 +49,13 @@ pub(super) fn scene(scene: &Scene) -> proto::Scene {
     };
     proto::Scene {
         name: scene.name().as_str().to_owned(),
-        settings: calls::settings(scene).map(|known| settings(&known)),
-        cubes: published.map(|published| published.totals.cubes),
-        seq: published.map(|published| published.seq.0),
-        incarnation: incarnation(scene),
+        settings: match scene {
+            AnyScene::Cubes(scene) => calls::settings(scene).map(|known| settings(&known)),
+            AnyScene::Solids(_) => None,
+        },
+        cubes: newest.map(|(_, cubes)| cubes),
+        seq: newest.map(|(seq, _)| seq.0),
+        incarnation: calls::incarnation(scene.incarnation()),
         state: state.into(),
         percent,
         cause,

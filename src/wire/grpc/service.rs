@@ -10,7 +10,7 @@ use tonic::{Request, Response, Status, Streaming, async_trait};
 use super::messages::{self, Detail};
 use super::{idempotency_key, status, stream};
 use crate::geometry::CubeId;
-use crate::service::{Seq, Service, ServiceError};
+use crate::service::{AnyScene, Seq, Service, ServiceError};
 use crate::wire::atomic::{Atomic, Sent};
 use crate::wire::calls::{self, HistoryRows, within};
 use crate::wire::decode;
@@ -68,7 +68,7 @@ impl UnionService for Calls {
             let name = calls::scene_name(&scene)?;
             let settings = decode::settings_message(&settings.unwrap_or_default())?;
             let (scene, created) = calls::create(&self.service, &name, &settings).await?;
-            let scene = Some(messages::scene(&scene));
+            let scene = Some(messages::scene(&AnyScene::Cubes(scene)));
             Ok(CreateSceneResponse { scene, created })
         })
         .await
@@ -78,7 +78,7 @@ impl UnionService for Calls {
         &self,
         request: Request<GetSceneRequest>,
     ) -> tonic::Result<Response<GetSceneResponse>> {
-        let found = self.service.scene(&request.get_ref().scene);
+        let found = self.service.any_scene(&request.get_ref().scene);
         let found = found.map(|scene| GetSceneResponse {
             scene: Some(messages::scene(&scene)),
         });
@@ -91,7 +91,7 @@ impl UnionService for Calls {
     ) -> tonic::Result<Response<ListScenesResponse>> {
         let scenes = self.service.scenes();
         Ok(Response::new(ListScenesResponse {
-            scenes: scenes.iter().map(|scene| messages::scene(scene)).collect(),
+            scenes: scenes.iter().map(messages::scene).collect(),
         }))
     }
 

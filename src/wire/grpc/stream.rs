@@ -21,7 +21,7 @@ use tonic::{Status, Streaming};
 use super::messages::{self, Detail, unknown};
 use super::status::{self, foreign};
 use crate::service::{
-    Applied, Chain, Counting, Motion, Operations, Scene, ServiceError, Submission,
+    AnyScene, Applied, Chain, Counting, Motion, Operations, Scene, ServiceError, Submission,
 };
 use crate::wire::atomic::{Atomic, Sent};
 use crate::wire::calls;
@@ -100,7 +100,7 @@ pub(super) async fn open(
     let window = usize::try_from(WINDOW_CHANGES_MAX).expect("a window is small");
     Ok(async_stream::stream! {
         yield Ok(answer(response::Message::Opened(Opened {
-            scene: Some(messages::scene(&scene)),
+            scene: Some(messages::scene(&AnyScene::Cubes(scene.clone()))),
             window_changes_max: WINDOW_CHANGES_MAX,
         })));
         let mut done = std::pin::pin!(stream::unfold(reader, Reader::next).buffered(window));

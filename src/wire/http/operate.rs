@@ -12,7 +12,7 @@ use utoipa::ToSchema;
 
 use super::App;
 use super::request::Path;
-use crate::service::{Readiness, SceneState};
+use crate::service::{AnyScene, Readiness, SceneState};
 use crate::wire::openapi;
 use crate::wire::problem::{Code, KINDS, Kind, Problem};
 
@@ -49,6 +49,7 @@ pub fn install_metrics() -> PrometheusHandle {
         );
         metrics::describe_gauge!("union3d_scenes", "Scenes, by state");
         metrics::describe_gauge!("union3d_cubes", "Cubes of all scenes that answer");
+        metrics::describe_gauge!("union3d_solids", "Solids of all scenes that answer");
         handle
     };
     RECORDER.get_or_init(install).clone()
@@ -130,7 +131,7 @@ fn count_scenes(app: &App) {
         ("stopped", 0),
         ("damaged", 0),
     ];
-    let mut cubes = 0.0;
+    let (mut cubes, mut solids) = (0.0, 0.0);
     for scene in app.service.scenes() {
         let state = match scene.state() {
             SceneState::Running => 0,
@@ -140,15 +141,18 @@ fn count_scenes(app: &App) {
         };
         states[state].1 += 1;
         // A scene holds at most 2^31 cubes.
-        let count = scene
-            .published()
-            .map_or(0, |published| published.totals.cubes);
-        cubes += f64::from(u32::try_from(count).unwrap_or(u32::MAX));
+        let count = scene.newest().map_or(0, |(_, count)| count);
+        let bodies = match scene {
+            AnyScene::Cubes(_) => &mut cubes,
+            AnyScene::Solids(_) => &mut solids,
+        };
+        *bodies += f64::from(u32::try_from(count).unwrap_or(u32::MAX));
     }
     for (state, count) in states {
         metrics::gauge!("union3d_scenes", "state" => state).set(count);
     }
     metrics::gauge!("union3d_cubes").set(cubes);
+    metrics::gauge!("union3d_solids").set(solids);
 }
 
 /// This description, OpenAPI 3.1

@@ -68,7 +68,11 @@ const NO_CACHE: HeaderValue = HeaderValue::from_static("no-cache");
 
 /// Weak: the same totals may be sent compressed or not.
 pub(super) fn entity_tag(scene: &Scene, seq: Seq) -> ETag {
-    let tag = format!("W/\"{}-{}\"", calls::incarnation(scene), seq.0);
+    let tag = format!(
+        "W/\"{}-{}\"",
+        calls::incarnation(scene.incarnation()),
+        seq.0
+    );
     tag.parse().expect("hexadecimal and decimal digits")
 }
 

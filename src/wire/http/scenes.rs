@@ -12,7 +12,7 @@ use utoipa::ToSchema;
 
 use super::request::{self, BodyType, Parameters, Path, body_type};
 use super::{App, Limits};
-use crate::service::{Scene, SceneState};
+use crate::service::{AnyScene, Scene, SceneState};
 use crate::wire::calls::{self, incarnation};
 use crate::wire::convert::{Settings, SettingsDocument};
 use crate::wire::decode;
@@ -69,8 +69,8 @@ pub(crate) struct SceneList {
     scenes: Vec<SceneDocument>,
 }
 
-fn document(scene: &Scene) -> SceneDocument {
-    let published = scene.published().ok();
+fn document(scene: &AnyScene) -> SceneDocument {
+    let newest = scene.newest();
     let (state, percent, cause) = match scene.state() {
         SceneState::Running => (State_::Running, None, None),
         SceneState::Recovering { percent } => (State_::Recovering, Some(percent), None),
@@ -79,10 +79,13 @@ fn document(scene: &Scene) -> SceneDocument {
     };
     SceneDocument {
         name: scene.name().as_str().to_owned(),
-        settings: calls::settings(scene).map(|settings| settings.document()),
-        cubes: published.map(|published| published.totals.cubes),
-        seq: published.map(|published| published.seq.0),
-        incarnation: incarnation(scene),
+        settings: match scene {
+            AnyScene::Cubes(scene) => calls::settings(scene).map(|settings| settings.document()),
+            AnyScene::Solids(_) => None,
+        },
+        cubes: newest.map(|(_, cubes)| cubes),
+        seq: newest.map(|(seq, _)| seq.0),
+        incarnation: incarnation(scene.incarnation()),
         state,
         percent,
         cause,
@@ -129,7 +132,7 @@ pub(super) async fn put_scene(
     } else {
         StatusCode::OK
     };
-    Ok((status, Json(document(&scene))).into_response())
+    Ok((status, Json(document(&AnyScene::Cubes(scene)))).into_response())
 }
 
 /// List the scenes
@@ -144,7 +147,7 @@ pub(super) async fn get_scenes(
     parameters.only(&[])?;
     let scenes = app.service.scenes();
     Ok(Json(SceneList {
-        scenes: scenes.iter().map(|scene| document(scene)).collect(),
+        scenes: scenes.iter().map(document).collect(),
     }))
 }
 
@@ -162,7 +165,7 @@ pub(super) async fn get_scene(
     parameters: Parameters,
 ) -> Result<Json<SceneDocument>, Problem> {
     parameters.only(&[])?;
-    Ok(Json(document(&*app.service.scene(&name)?)))
+    Ok(Json(document(&app.service.any_scene(&name)?)))
 }
 
 /// Drop a scene with its data

@@ -1,0 +1,187 @@
+//! What the scenes of different kinds have of their own: the engine, and how a set of bodies is kept while it is ahead of the disk.
+//!
+//! ```text
+//!   scene, inbox, writer, judge, set, before, upkeep, replay, revert      the same for every kind
+//!     └─ SceneKind ── Cubes:  engine::Engine          bodies are places
+//!                  └─ Solids: engine::solids::Engine  bodies are swept shapes and hulls (`solids`)
+//! ```
+
+use std::sync::Arc;
+
+use super::any::AnyScene;
+use super::before::Table;
+use super::places::Places;
+use super::scene::{Scene, SceneOf};
+use super::set::BodySet;
+use super::{ServiceConfig, ServiceError};
+use crate::engine::{self, Cursor, Engine, IdTable, Judged, Op};
+use crate::geometry::{CubeId, Edge, Effect, Place, Totals};
+use crate::log::{Cubes, Header, Kind};
+
+/// A kind of scene, as the service knows it.
+pub trait SceneKind: Kind {
+    /// The set of bodies whose totals are current.
+    type Engine: Send + Sync + 'static;
+    /// Bodies by id, in the order of the engine's listing.
+    type Table: Table<Self::Body>;
+    /// Bodies of a few changes by where they are.
+    type Near: Default + Send + Sync + 'static;
+
+    /// Bodies that a replay takes together at most, when it need not compare after every change.
+    const REPLAYED_TOGETHER_MAX: usize;
+
+    /// An engine without bodies.
+    /// # Errors
+    /// What the header says that no scene of this kind has, in words.
+    fn engine(header: &Header) -> Result<Self::Engine, String>;
+
+    /// Current totals.
+    fn totals(engine: &Self::Engine) -> Self::Totals;
+
+    /// The body of this id.
+    fn get(engine: &Self::Engine, id: CubeId) -> Option<Self::Body>;
+
+    /// The bodies that stand after the cursor in the listing, in its order, which is fixed by the ids alone.
+    fn bodies_after(
+        engine: &Self::Engine,
+        after: Option<Cursor>,
+    ) -> impl Iterator<Item = (CubeId, Self::Body)> + '_;
+
+    /// Makes room for about so many bodies.
+    fn reserve(engine: &mut Self::Engine, bodies: u64);
+
+    /// Judges operations in their order against the set, changing nothing.
+    /// # Errors
+    /// The first operation at fault, or too many bodies.
+    fn judge(
+        engine: &Self::Engine,
+        ops: &[Op<Self::Body>],
+        config: &ServiceConfig,
+    ) -> Result<Judged<Self::Body>, ServiceError>;
+
+    /// Applies an effect, whole or not at all; false, and nothing done, when it does not fit.
+    fn apply(engine: &mut Self::Engine, effect: &Effect<Self::Body>) -> bool;
+
+    /// Whether applying an effect takes so short that readers can wait.
+    fn applies_at_once(effect: &Effect<Self::Body>) -> bool;
+
+    /// Applies an effect that was noted in short steps, between which others read; false when it does not fit.
+    fn apply_in_steps(set: &BodySet<Self>, effect: &Effect<Self::Body>) -> bool;
+
+    /// Notes where a body is that a change deletes.
+    fn note_near(near: &mut Self::Near, engine: &Self::Engine, id: CubeId, body: &Self::Body);
+
+    /// Forgets what was noted.
+    fn clear_near(near: &mut Self::Near);
+
+    /// How many bodies totals count.
+    fn count(totals: &Self::Totals) -> u64;
+
+    /// Volume that is gone: from the stock, or into the union where there is no stock. Units: the totals' own.
+    fn removed(totals: &Self::Totals) -> i128;
+
+    /// Whether two totals are those of one set of bodies, as far as can be told.
+    fn agree(one: &Self::Totals, other: &Self::Totals) -> bool;
+
+    /// Totals from the bodies alone.
+    fn recount(header: &Header, bodies: Vec<Self::Body>) -> Self::Totals;
+
+    /// The scene as one of any kind.
+    fn any(scene: Arc<SceneOf<Self>>) -> AnyScene;
+
+    /// A scene of any kind as one of this.
+    /// # Errors
+    /// The scene, when it is of another kind.
+    fn of(scene: AnyScene) -> Result<Arc<SceneOf<Self>>, AnyScene>;
+}
+
+impl SceneKind for Cubes {
+    type Engine = Engine;
+    type Table = IdTable;
+    type Near = Places;
+
+    const REPLAYED_TOGETHER_MAX: usize = 1 << 22;
+
+    fn engine(header: &Header) -> Result<Engine, String> {
+        let edge = edge_of(header).map_err(|invalid| invalid.to_string())?;
+        Ok(Engine::new(edge).with_stock(header.stock))
+    }
+
+    fn totals(engine: &Engine) -> Totals {
+        engine.totals()
+    }
+
+    fn get(engine: &Engine, id: CubeId) -> Option<Place> {
+        engine.get(id)
+    }
+
+    fn bodies_after(
+        engine: &Engine,
+        after: Option<Cursor>,
+    ) -> impl Iterator<Item = (CubeId, Place)> + '_ {
+        engine.cubes_after(after)
+    }
+
+    fn reserve(engine: &mut Engine, cubes: u64) {
+        engine.reserve(cubes);
+    }
+
+    fn judge(engine: &Engine, ops: &[Op], config: &ServiceConfig) -> Result<Judged, ServiceError> {
+        Ok(engine.judge(ops, config.scene_cubes_max)?)
+    }
+
+    fn apply(engine: &mut Engine, effect: &Effect) -> bool {
+        engine.apply(effect).is_ok()
+    }
+
+    fn applies_at_once(effect: &Effect) -> bool {
+        Engine::applies_at_once(effect)
+    }
+
+    fn apply_in_steps(set: &BodySet<Self>, effect: &Effect) -> bool {
+        Engine::apply_through(set, effect).is_ok()
+    }
+
+    fn note_near(near: &mut Places, engine: &Engine, id: CubeId, place: &Place) {
+        near.insert(id, *place, engine.edge());
+    }
+
+    fn clear_near(near: &mut Places) {
+        near.clear();
+    }
+
+    fn count(totals: &Totals) -> u64 {
+        totals.cubes
+    }
+
+    fn removed(totals: &Totals) -> i128 {
+        match &totals.stock {
+            Some(stock) => stock.removed.volume,
+            None => totals.measures.volume,
+        }
+    }
+
+    fn agree(one: &Totals, other: &Totals) -> bool {
+        one == other
+    }
+
+    fn recount(header: &Header, places: Vec<Place>) -> Totals {
+        let edge = edge_of(header).expect("an edge is checked before its header is kept");
+        engine::recount(edge, header.stock, places.into_iter())
+    }
+
+    fn any(scene: Arc<Scene>) -> AnyScene {
+        AnyScene::Cubes(scene)
+    }
+
+    fn of(scene: AnyScene) -> Result<Arc<Scene>, AnyScene> {
+        match scene {
+            AnyScene::Cubes(scene) => Ok(scene),
+            AnyScene::Solids(_) => Err(scene),
+        }
+    }
+}
+
+fn edge_of(header: &Header) -> Result<Edge, crate::geometry::InvalidEdge> {
+    Edge::new(i64::from(header.edge_steps))
+}

@@ -1,0 +1,209 @@
+//! Scenes of solids: bodies are shapes swept along segments, and hulls.
+//!
+//! ```text
+//!   shapes ── definitions of the log: a name, the document they were read from, convex parts ── never changed, never dropped
+//!   bodies ── a shape's number, from, to │ the vertices of a hull
+//!   totals ── fixed-point integers of the engine, and how far rounding can be off
+//! ```
+//! A shape never changes, also while no solid uses it: a revert may bring back one that does.
+
+mod codec;
+mod shapes;
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use super::any::AnyScene;
+use super::kind::SceneKind;
+use super::scene::SceneOf;
+use super::set::BodySet;
+use super::{ServiceConfig, ServiceError};
+use crate::engine::solids::{self, Body, Effect, Engine, ErrorMax, Judged, Op, Stock};
+use crate::engine::{Cursor, solids::recount};
+use crate::geometry::convex::{Point, Solid};
+use crate::geometry::{Bounds, CubeId};
+use crate::log::{ColumnReader, ColumnWriter, Header, Kind, Malformed, Reader};
+
+pub use shapes::{NamedShape, Shapes};
+
+/// Scenes of solids.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct Solids;
+
+/// A scene of solids.
+pub type SolidScene = SceneOf<Solids>;
+
+/// The totals of a scene of solids.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+pub struct SolidTotals {
+    /// A function of the set of bodies alone.
+    pub union: solids::Totals,
+    /// How far rounding can be off in them, at most: true, but not the same after another history.
+    pub error_max: ErrorMax,
+}
+
+/// Bodies of a change that are put in or taken out in one step: some tens of milliseconds.
+const STEP_BODIES: usize = 64;
+
+impl Kind for Solids {
+    type Body = Body;
+    type Totals = SolidTotals;
+    type Context = Shapes;
+
+    const FORMAT: i32 = 4;
+    const DEFINES: bool = true;
+    const BODY_BYTES_MAX: usize = codec::BODY_BYTES_MAX;
+    const CHUNK_BODIES: usize = 1 << 12;
+
+    fn context(header: &Header) -> Result<Shapes, String> {
+        match header.edge_steps {
+            0 => Ok(Shapes::default()),
+            _ => Err("a scene of solids has no edge".to_owned()),
+        }
+    }
+
+    fn define(shapes: &mut Shapes, definition: &[u8]) -> Result<(), Malformed> {
+        shapes.push(NamedShape::read(definition)?)
+    }
+
+    fn is_defined(shapes: &Shapes, definition: &[u8]) -> bool {
+        NamedShape::read(definition).is_ok_and(|shape| shapes.has(&shape))
+    }
+
+    fn weight(body: &Body) -> usize {
+        codec::weight(body)
+    }
+
+    fn put_bodies(bodies: &[(CubeId, Body)], shapes: &Shapes, columns: &mut ColumnWriter<'_>) {
+        codec::put_bodies(bodies, shapes, columns);
+    }
+
+    fn read_bodies(
+        ids: Vec<CubeId>,
+        shapes: &Shapes,
+        columns: &mut ColumnReader<'_, '_>,
+    ) -> Result<Vec<(CubeId, Body)>, Malformed> {
+        codec::read_bodies(ids, shapes, columns)
+    }
+
+    fn put_totals(to: &mut Vec<u8>, totals: &SolidTotals) {
+        codec::put_totals(to, totals);
+    }
+
+    fn read_totals(reader: &mut Reader<'_>) -> Result<SolidTotals, Malformed> {
+        codec::read_totals(reader)
+    }
+
+    fn nothing(header: &Header) -> SolidTotals {
+        Self::engine(header).map_or(SolidTotals::default(), |engine| Self::totals(&engine))
+    }
+}
+
+impl SceneKind for Solids {
+    type Engine = Engine;
+    type Table = BTreeMap<Cursor, (CubeId, Body)>;
+    type Near = ();
+
+    const REPLAYED_TOGETHER_MAX: usize = 1 << 14;
+
+    fn engine(header: &Header) -> Result<Engine, String> {
+        Ok(Engine::new().with_stock(stock(header)?))
+    }
+
+    fn totals(engine: &Engine) -> SolidTotals {
+        SolidTotals {
+            union: engine.totals(),
+            error_max: engine.error_max(),
+        }
+    }
+
+    fn get(engine: &Engine, id: CubeId) -> Option<Body> {
+        engine.get(id).cloned()
+    }
+
+    fn bodies_after(
+        engine: &Engine,
+        after: Option<Cursor>,
+    ) -> impl Iterator<Item = (CubeId, Body)> + '_ {
+        let bodies = engine.solids_after(after);
+        bodies.map(|(id, body)| (id, body.clone()))
+    }
+
+    fn reserve(_: &mut Engine, _: u64) {}
+
+    fn judge(engine: &Engine, ops: &[Op], _: &ServiceConfig) -> Result<Judged, ServiceError> {
+        Ok(engine.judge(ops)?)
+    }
+
+    fn apply(engine: &mut Engine, effect: &Effect) -> bool {
+        engine.apply(effect).is_ok()
+    }
+
+    fn applies_at_once(effect: &Effect) -> bool {
+        effect.deleted.len() + effect.inserted.len() <= STEP_BODIES
+    }
+
+    fn apply_in_steps(set: &BodySet<Self>, effect: &Effect) -> bool {
+        let deletions = effect.deleted.chunks(STEP_BODIES).map(|some| Effect {
+            deleted: some.to_vec(),
+            inserted: Vec::new(),
+        });
+        let insertions = effect.inserted.chunks(STEP_BODIES).map(|some| Effect {
+            deleted: Vec::new(),
+            inserted: some.to_vec(),
+        });
+        let mut steps = deletions.chain(insertions);
+        steps.all(|step| set.step_of(|engine| engine.apply(&step).is_ok()))
+    }
+
+    fn note_near((): &mut (), _: &Engine, _: CubeId, _: &Body) {}
+
+    fn clear_near((): &mut ()) {}
+
+    fn count(totals: &SolidTotals) -> u64 {
+        totals.union.solids
+    }
+
+    fn removed(totals: &SolidTotals) -> i128 {
+        totals.union.measures.volume6
+    }
+
+    fn agree(one: &SolidTotals, other: &SolidTotals) -> bool {
+        one.union == other.union
+    }
+
+    fn recount(header: &Header, bodies: Vec<Body>) -> SolidTotals {
+        let stock = stock(header).expect("a stock is checked before its header is kept");
+        SolidTotals {
+            union: recount(stock, bodies.into_iter()),
+            error_max: ErrorMax::default(),
+        }
+    }
+
+    fn any(scene: Arc<SolidScene>) -> AnyScene {
+        AnyScene::Solids(scene)
+    }
+
+    fn of(scene: AnyScene) -> Result<Arc<SolidScene>, AnyScene> {
+        match scene {
+            AnyScene::Solids(scene) => Ok(scene),
+            AnyScene::Cubes(_) => Err(scene),
+        }
+    }
+}
+
+/// The block of material that bodies are cut from, if any.
+fn stock(header: &Header) -> Result<Option<Stock>, String> {
+    let Some(stock) = &header.stock else {
+        return Ok(None);
+    };
+    let corner = |at: [i32; 3]| Point::new(at.map(i64::from));
+    let Bounds { min, max } = stock.bounds();
+    let (min, max) = corner(min)
+        .and_then(|min| Ok((min, corner(max)?)))
+        .map_err(|invalid| invalid.to_string())?;
+    let solid = Solid::cuboid(min, max).map_err(|invalid| format!("the stock: {invalid}"))?;
+    Stock::new(solid)
+        .map(Some)
+        .map_err(|invalid| invalid.to_string())
+}

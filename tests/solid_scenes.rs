@@ -1,0 +1,371 @@
+//! Scenes of solids in the service, against a plain list of all their states: what is acknowledged, and what survives.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use union3d::engine::Op;
+use union3d::engine::solids::{self, Body, Shape, recount};
+use union3d::geometry::convex::{Point, Solid};
+use union3d::geometry::{CubeId, Stock};
+use union3d::log::LogError;
+use union3d::service::{
+    AnyAudit, Applied, Counting, FailHook, FailPoint, Motion, NamedShape, Offline, Operations,
+    SceneName, SceneState, Seq, Service, ServiceConfig, ServiceError, SolidScene, Solids,
+    Submission,
+};
+
+#[path = "oracle/random.rs"]
+mod random;
+use random::Random;
+
+type Bodies = BTreeMap<CubeId, Body>;
+
+fn point(at: [i64; 3]) -> Point {
+    Point::new(at).unwrap()
+}
+
+fn cuboid(min: [i64; 3], max: [i64; 3]) -> Solid {
+    Solid::cuboid(point(min), point(max)).unwrap()
+}
+
+fn named(name: &str, parts: Vec<Solid>) -> NamedShape {
+    NamedShape {
+        name: name.to_owned(),
+        document: format!("{{\"of\":\"{name}\"}}"),
+        shape: Arc::new(Shape::new(parts).unwrap()),
+    }
+}
+
+/// A box, a tetrahedron, and two parts that move together.
+fn shapes() -> Vec<NamedShape> {
+    let corners = [[0, 0, 0], [4, 0, 0], [0, 4, 0], [0, 0, 4]].map(point);
+    vec![
+        named("box", vec![cuboid([0; 3], [2; 3])]),
+        named("tip", vec![Solid::hull(&corners).unwrap()]),
+        named(
+            "two",
+            vec![cuboid([0; 3], [1, 1, 4]), cuboid([-1, -1, 4], [2, 2, 6])],
+        ),
+    ]
+}
+
+fn name() -> SceneName {
+    SceneName::new("part").unwrap()
+}
+
+fn config(directory: &Path) -> ServiceConfig {
+    ServiceConfig {
+        probe_interval: Duration::from_millis(10),
+        ..ServiceConfig::new(directory.join("data"))
+    }
+}
+
+async fn create(service: &Service, stock: Option<Stock>) -> Arc<SolidScene> {
+    let created = service.create_solids(&name(), stock, &shapes(), "{}").await;
+    created.unwrap().0
+}
+
+/// The scene once it runs.
+fn running(service: &Service) -> Arc<SolidScene> {
+    let deadline = Instant::now() + Duration::from_secs(60);
+    loop {
+        match service.solid_scene("part") {
+            Ok(scene) if scene.state() == SceneState::Running => return scene,
+            _ => assert!(Instant::now() < deadline, "the scene does not come up"),
+        }
+        std::thread::yield_now();
+    }
+}
+
+fn submission(operations: Operations<Solids>) -> Submission<Solids> {
+    Submission {
+        operations,
+        counting: Counting::Net,
+        motion: Motion::default(),
+        key: None,
+    }
+}
+
+async fn change(scene: &SolidScene, ops: &[Op<Body>]) -> Applied<Solids> {
+    let operations = Operations::Named(ops.to_vec());
+    scene.change(submission(operations)).await.unwrap()
+}
+
+/// A shape carried along a short segment, or a hull of its own, in a world so small that bodies meet in every way.
+fn random_body(random: &mut Random, shapes: &[Arc<Shape>]) -> Body {
+    loop {
+        let mut at = || point([(); 3].map(|()| random.within(0, 6)));
+        let (from, to, more) = (at(), at(), [at(), at(), at()]);
+        match random.below(5) {
+            0 => {
+                let hull = Solid::hull(&[from, to, more[0], more[1], more[2]]);
+                if let Ok(solid) = hull {
+                    return Body::solid(solid);
+                }
+            }
+            kind => {
+                let shape = &shapes[random.below(shapes.len())];
+                let to = if kind == 1 { from } else { to };
+                return Body::swept(shape, from, to).unwrap();
+            }
+        }
+    }
+}
+
+fn random_change(
+    random: &mut Random,
+    shapes: &[Arc<Shape>],
+    bodies: &Bodies,
+) -> (Vec<Op<Body>>, Bodies) {
+    let mut after = bodies.clone();
+    let mut ops = Vec::new();
+    for _ in 0..random.within(1, 4) {
+        let id = CubeId(random.below(10));
+        if after.remove(&id).is_some() {
+            ops.push(Op::Delete(id));
+        }
+        if random.below(3) > 0 {
+            let body = random_body(random, shapes);
+            ops.push(Op::Insert(id, body.clone()));
+            after.insert(id, body);
+        }
+    }
+    (ops, after)
+}
+
+/// The stock of a scene as the engine takes it.
+fn block(stock: Option<Stock>) -> Option<solids::Stock> {
+    let corner = |at: [i32; 3]| at.map(i64::from);
+    stock.map(|stock| {
+        let bounds = stock.bounds();
+        solids::Stock::new(cuboid(corner(bounds.min), corner(bounds.max))).unwrap()
+    })
+}
+
+/// What the scene answers is what its bodies come to.
+async fn assert_holds(scene: &SolidScene, stock: Option<Stock>, bodies: &Bodies) {
+    let published = scene.published().unwrap();
+    assert_eq!(
+        published.totals.union,
+        recount(block(stock), bodies.values().cloned())
+    );
+    let (_, mut listed) = scene.bodies().await.unwrap();
+    listed.sort_unstable_by_key(|(id, _)| *id);
+    assert!(
+        listed.iter().map(|(id, body)| (id, body)).eq(bodies),
+        "the listing differs"
+    );
+}
+
+/// Random changes, some of them back to an earlier state, with restarts, and snapshots all the time: totals, listing, history, past totals
+/// and the audit of the files are those of the plain list.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn every_state_is_what_its_changes_made() {
+    for seed in 1..=3 {
+        let mut random = Random::new(seed);
+        let directory = tempfile::tempdir().unwrap();
+        let config = || ServiceConfig {
+            snapshot_log_bytes_min: 300,
+            snapshot_step_cubes: 2,
+            ..config(directory.path())
+        };
+        let mut service = Service::start(config()).unwrap();
+        // Every other scene is cut from a block of material.
+        let stock = (seed % 2 == 0).then(|| Stock::new([1, 1, 1], [5, 5, 4]).unwrap());
+        let mut scene = create(&service, stock).await;
+        let mut states: Vec<Bodies> = vec![Bodies::new()];
+        for step in 0..60 {
+            let context = scene.context().unwrap();
+            let shapes: Vec<_> = context.iter().map(|named| named.shape.clone()).collect();
+            let newest = states.last().unwrap().clone();
+            let seq = if random.below(6) == 0 {
+                let to = random.below(states.len());
+                let back = submission(Operations::Revert(Seq(to as u64)));
+                let applied = scene.change(back).await.unwrap();
+                if states[to] != newest {
+                    states.push(states[to].clone());
+                }
+                applied.published.seq
+            } else {
+                let (ops, after) = random_change(&mut random, &shapes, &newest);
+                let applied = change(&scene, &ops).await;
+                if after != newest {
+                    states.push(after);
+                }
+                applied.published.seq
+            };
+            assert_eq!(seq.0, states.len() as u64 - 1, "seed {seed}, step {step}");
+            assert_holds(&scene, stock, states.last().unwrap()).await;
+            if step % 20 == 19 {
+                drop(scene);
+                service.shutdown().await;
+                let offline = Offline::open(&directory.path().join("data")).unwrap();
+                let audit = offline.audit(&name(), &mut |_| ()).unwrap();
+                assert!(matches!(audit.audit, AnyAudit::Solids(_)));
+                assert!(audit.audit.is_equal(), "{:?}", audit.audit.shown());
+                assert_eq!(audit.audit.bodies(), states.last().unwrap().len() as u64);
+                drop(offline);
+                service = Service::start(config()).unwrap();
+                scene = running(&service);
+                assert_holds(&scene, stock, states.last().unwrap()).await;
+            }
+        }
+        for (seq, bodies) in (0..).zip(&states) {
+            let totals = scene.at(Seq(seq)).await.unwrap().totals;
+            assert_eq!(
+                totals.union,
+                recount(block(stock), bodies.values().cloned()),
+                "seq {seq}"
+            );
+        }
+        let last = Seq(states.len() as u64 - 1);
+        let rows = scene.history(Seq(1), last, None, 1000).await.unwrap();
+        let mut volume = 0;
+        for row in rows {
+            volume += row.volume_removed;
+            assert_eq!(volume, row.totals.union.measures.volume6);
+        }
+        assert!(scene.audit().await.unwrap().is_equal());
+        service.shutdown().await;
+    }
+}
+
+/// A shape that was acknowledged is there after a restart, in its place; one that is there already changes nothing; another one of the
+/// same name is refused.
+#[tokio::test]
+async fn shapes_are_part_of_the_log() {
+    let directory = tempfile::tempdir().unwrap();
+    let service = Service::start(config(directory.path())).unwrap();
+    let scene = create(&service, None).await;
+    let later = named("later", vec![cuboid([0; 3], [9, 1, 1])]);
+    let define = |shape: &NamedShape| submission(Operations::Define(shape.definition()));
+    for _ in 0..2 {
+        let applied = scene.change(define(&later)).await.unwrap();
+        assert_eq!(applied.published.seq, Seq(0), "a shape takes no seq");
+    }
+    let other = named("later", vec![cuboid([0; 3], [9, 1, 2])]);
+    let refused = scene.change(define(&other)).await.unwrap_err();
+    assert!(
+        matches!(refused, ServiceError::NotDefined { .. }),
+        "{refused}"
+    );
+    let shape = scene.context().unwrap().get("later").unwrap().shape.clone();
+    let body = Body::swept(&shape, point([0; 3]), point([0, 5, 0])).unwrap();
+    change(&scene, &[Op::Insert(CubeId(1), body.clone())]).await;
+    service.shutdown().await;
+    drop(scene);
+
+    let service = Service::start(config(directory.path())).unwrap();
+    let scene = running(&service);
+    let context = scene.context().unwrap();
+    let names: Vec<_> = context.iter().map(|named| named.name.as_str()).collect();
+    assert_eq!(names, ["box", "tip", "two", "later"]);
+    assert_eq!(context.get("later").unwrap().document, later.document);
+    // A body from before the restart is the same body: a retry that comes late changes nothing.
+    let again = change(&scene, &[Op::Insert(CubeId(1), body.clone())]).await;
+    assert_eq!((again.counts.unchanged, again.published.seq), (1, Seq(1)));
+    change(&scene, &[Op::Insert(CubeId(2), body)]).await;
+    let back = scene.body(CubeId(2)).await.unwrap().unwrap();
+    let (shape, ..) = back.sweep().unwrap();
+    assert_eq!(context.of(shape).unwrap().name, "later");
+    // Creating it again finds it, with the shapes it has; not with one that it has not.
+    let (_, new) = service
+        .create_solids(&name(), None, &[later], "{}")
+        .await
+        .unwrap();
+    assert!(!new);
+    let refused = service.create_solids(&name(), None, &[other], "{}").await;
+    assert!(matches!(refused, Err(ServiceError::SceneExists { .. })));
+    let refused = service.scene("part").unwrap_err();
+    assert!(
+        matches!(refused, ServiceError::OtherKind { .. }),
+        "{refused}"
+    );
+    service.shutdown().await;
+}
+
+/// A write that fails stops the scene, which comes back as it was acknowledged, or with the whole change; and a body that was made
+/// before is taken after.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_failed_write_loses_nothing_that_was_acknowledged() {
+    for fail_at in [FailPoint::Append, FailPoint::Appended] {
+        let directory = tempfile::tempdir().unwrap();
+        let armed = Arc::new(std::sync::atomic::AtomicBool::new(false));
+        let hook: FailHook = {
+            let armed = armed.clone();
+            Arc::new(move |point| {
+                let fails =
+                    point == fail_at && armed.swap(false, std::sync::atomic::Ordering::SeqCst);
+                fails.then(|| LogError::Failed {
+                    path: "as asked".into(),
+                    cause: "as asked".to_owned(),
+                })
+            })
+        };
+        let service = Service::start_with_failpoints(config(directory.path()), hook).unwrap();
+        let scene = create(&service, None).await;
+        let context = scene.context().unwrap();
+        let body = |x| {
+            let shape = &context.get("two").unwrap().shape;
+            Body::swept(shape, point([x, 0, 0]), point([x, 5, 1])).unwrap()
+        };
+        change(&scene, &[Op::Insert(CubeId(1), body(0))]).await;
+        armed.store(true, std::sync::atomic::Ordering::SeqCst);
+        let second = [Op::Insert(CubeId(2), body(3))];
+        let operations = Operations::Named(second.to_vec());
+        let refused = scene.change(submission(operations)).await.unwrap_err();
+        assert!(matches!(refused, ServiceError::Stopped { .. }), "{refused}");
+        let scene = running(&service);
+        let retried = change(&scene, &second).await;
+        assert_eq!(retried.published.seq, Seq(2));
+        let expected = Bodies::from([(CubeId(1), body(0)), (CubeId(2), body(3))]);
+        assert_holds(&scene, None, &expected).await;
+        service.shutdown().await;
+    }
+}
+
+/// Whichever byte of the files is flipped: the scene is refused, or what it answers is right.
+#[tokio::test]
+async fn damage_is_refused_and_never_gives_a_wrong_total() {
+    let directory = tempfile::tempdir().unwrap();
+    let service = Service::start(config(directory.path())).unwrap();
+    let scene = create(&service, None).await;
+    let mut random = Random::new(1);
+    let context = scene.context().unwrap();
+    let shapes: Vec<_> = context.iter().map(|named| named.shape.clone()).collect();
+    let mut bodies = Bodies::new();
+    for _ in 0..12 {
+        let (ops, after) = random_change(&mut random, &shapes, &bodies);
+        change(&scene, &ops).await;
+        bodies = after;
+    }
+    let expected = scene.published().unwrap();
+    drop(scene);
+    service.shutdown().await;
+    let data = directory.path().join("data");
+    let file = data.join("scenes/part/scene.sqlite");
+    let good = fs::read(&file).unwrap();
+    let mut refused = 0;
+    for _ in 0..150 {
+        let at = random.below(good.len());
+        let mut bad = good.clone();
+        bad[at] ^= 1 << random.below(8);
+        fs::write(&file, &bad).unwrap();
+        let offline = Offline::open(&data).unwrap();
+        match offline.audit(&name(), &mut |_| ()) {
+            Err(_) => refused += 1,
+            Ok(audit) => {
+                let AnyAudit::Solids(audit) = audit.audit else {
+                    panic!("byte {at}: another kind");
+                };
+                assert!(audit.is_equal(), "byte {at}");
+                assert_eq!(audit.kept, expected.totals, "byte {at}");
+                assert_eq!(audit.seq, expected.seq, "byte {at}");
+            }
+        }
+    }
+    assert!(refused > 10, "only {refused} were refused");
+}
