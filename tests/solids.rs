@@ -23,9 +23,11 @@ use union3d::engine::solids::{
 use union3d::geometry::convex::{Point, Solid};
 use union3d::geometry::{self, Bounds, EdgeKind};
 
-/// Scenes of a random test: few in debug, many where they are fast.
+/// Scenes of a random test: few in debug, many where they are fast, and fewest where everything is compared with big integers.
 fn rounds(release: u64) -> u64 {
-    if cfg!(debug_assertions) {
+    if cfg!(feature = "paranoid") {
+        release / 100 + 1
+    } else if cfg!(debug_assertions) {
         release / 20 + 1
     } else {
         release

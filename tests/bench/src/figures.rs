@@ -29,6 +29,11 @@ impl Latencies {
         self.nanoseconds.len()
     }
 
+    /// All together.
+    pub(crate) fn sum(&self) -> Duration {
+        Duration::from_nanos(self.nanoseconds.iter().sum())
+    }
+
     /// The p50, p99, p99.9 and greatest. Units: microseconds. Zero when there are none.
     pub(crate) fn spread(mut self) -> Spread {
         self.nanoseconds.sort_unstable();

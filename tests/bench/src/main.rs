@@ -21,6 +21,7 @@ mod random;
 mod scenario;
 mod service;
 mod sets;
+mod solids;
 mod table;
 mod union3;
 mod workload;
@@ -46,6 +47,7 @@ struct Args {
 #[derive(Debug, clap::Subcommand)]
 enum What {
     Engine(engine::Args),
+    Solids(solids::Args),
     Union3(union3::Args),
     Service(service::Args),
     Peers(peers::Args),
@@ -61,6 +63,7 @@ fn main() -> ExitCode {
     }
     let outcome = match args.what {
         What::Engine(args) => engine::run(&args),
+        What::Solids(args) => solids::run(&args),
         What::Union3(args) => union3::run(&args),
         What::Service(args) => service::run(&args),
         What::Peers(args) => peers::run(&args),
