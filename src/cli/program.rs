@@ -1,11 +1,12 @@
 //! How the commands that read G-code are told to read it.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
 
 use super::input;
-use union3d::toolpath::{Dialect, Interpreter, Options, RapidPath, ToolTable};
+use union3d::toolpath::{Dialect, Interpreter, Options, RapidPath, ToolTable, bit, bits};
 
 type Failure = Box<dyn std::error::Error>;
 
@@ -18,10 +19,14 @@ pub(crate) struct ProgramArgs {
     /// Whether what follows a / on a line is left out [default: on; off for grbl and marlin].
     #[arg(long, value_name = "SWITCH", value_enum)]
     block_delete: Option<Switch>,
-    /// Lengths and diameters of the tools: a tool.tbl of `LinuxCNC`.
+    /// A tool, such as `T1=flat:6,length=22,holder=40x30`. Repeat it for each.
+    #[arg(long, value_name = "TOOL")]
+    tool: Vec<String>,
+    /// A file of tools: a tool.tbl of `LinuxCNC`, a library of Fusion 360 (JSON), a library of `FreeCAD` (.fctl), or one of its bits as
+    /// `T1=FILE.fctb`. Repeat it for each.
     #[arg(long, value_name = "FILE")]
-    tools: Option<PathBuf>,
-    /// Unit of --tools.
+    tools: Vec<String>,
+    /// Unit of --tool, and of a tool.tbl.
     #[arg(long, value_enum, default_value_t = super::cutter::Unit::Mm)]
     tools_unit: super::cutter::Unit,
     /// Where a work system begins, in mm, such as `G55=0,20,0`: needed where a program uses several. Repeat it for each.
@@ -34,9 +39,9 @@ pub(crate) struct ProgramArgs {
     /// How rapids go: straight, or each axis at its own speed (the default of Fanuc and Haas).
     #[arg(long, value_name = "PATH", value_enum, default_value_t = Rapids::Straight)]
     rapid_path: Rapids,
-    /// Splines are cut into chords no farther from them than this, in mm.
+    /// Arcs of round cutters and splines are cut into chords no farther from them than this, in mm.
     #[arg(long, value_name = "LENGTH", value_parser = super::cutter::positive, default_value_t = 0.01)]
-    tolerance: f64,
+    pub(crate) tolerance: f64,
     /// Refuse the program where it would only be warned about.
     #[arg(long)]
     strict: bool,
@@ -65,6 +70,7 @@ impl ProgramArgs {
         source.read_to_end(&mut text).map_err(input::about(path))?;
         let size = text.len() as u64;
         let mut options = self.options()?;
+        options.tools.take_comments(&text);
         let directory = path.parent().map(Path::to_owned);
         options.directory = directory.filter(|_| path != Path::new("-"));
         Ok((Interpreter::new(text, options), size))
@@ -96,13 +102,63 @@ impl ProgramArgs {
         if self.home.is_some() && !self.origin.is_empty() {
             return Err("--home goes without --origin: both say where the work systems are".into());
         }
-        if let Some(path) = &self.tools {
-            let text = std::fs::read_to_string(path).map_err(input::about(path))?;
-            options.tools = ToolTable::read(&text, self.tools_unit.mm())
-                .map_err(|wrong| format!("{}: {wrong}", path.display()))?;
+        for file in &self.tools {
+            self.read_tools(file, &mut options.tools)?;
+        }
+        let mut numbers = BTreeSet::new();
+        for tool in &self.tool {
+            let defined = options.tools.define(tool, self.tools_unit.mm());
+            let number = defined.map_err(|wrong| format!("--tool {tool}: {wrong}"))?;
+            if !numbers.insert(number) {
+                return Err(format!("--tool gives T{number} twice").into());
+            }
         }
         Ok(options)
     }
+
+    /// Reads a file of tools, whatever it is.
+    fn read_tools(&self, file: &str, tools: &mut ToolTable) -> Result<(), Failure> {
+        let (number, path) = match file.split_once('=') {
+            Some((number, path)) if number.starts_with(['T', 't']) => {
+                let parsed = number[1..].parse::<u32>();
+                let number =
+                    parsed.map_err(|_| format!("--tools: {number} is no number of a tool"))?;
+                (Some(number), Path::new(path))
+            }
+            _ => (None, Path::new(file)),
+        };
+        let about = |wrong: String| format!("{}: {wrong}", path.display());
+        let text = read(path)?;
+        if let Some(number) = number {
+            return Ok(tools.add_bit(number, bit(&text).map_err(about)?)?);
+        }
+        if path.extension().is_some_and(|ending| ending == "fctb") {
+            return Err(about("a bit has no number: give it as T1=FILE".into()).into());
+        }
+        let Some(bits) = bits(&text) else {
+            return Ok(tools.add(&text, self.tools_unit.mm()).map_err(about)?);
+        };
+        for (number, name) in bits {
+            let found = bit_beside(path, &name)
+                .ok_or_else(|| about(format!("there is no {name}, the bit of T{number}")))?;
+            let bit =
+                bit(&read(&found)?).map_err(|wrong| format!("{}: {wrong}", found.display()))?;
+            tools.add_bit(number, bit).map_err(about)?;
+        }
+        Ok(())
+    }
+}
+
+fn read(path: &Path) -> Result<String, String> {
+    std::fs::read_to_string(path).map_err(input::about(path))
+}
+
+/// The file of a bit that a library names: beside the library, or in the directory `Bit` beside the library's own, as `FreeCAD` has them.
+fn bit_beside(library: &Path, name: &str) -> Option<PathBuf> {
+    let directory = library.parent()?;
+    [directory.join(name), directory.join("../Bit").join(name)]
+        .into_iter()
+        .find(|path| path.is_file())
 }
 
 fn dialect(text: &str) -> Result<Dialect, String> {

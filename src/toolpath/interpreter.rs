@@ -258,6 +258,11 @@ impl Interpreter {
         self.dialect
     }
 
+    /// The tools, as the program has left them.
+    pub fn tools(&self) -> &ToolTable {
+        &self.machine.tools
+    }
+
     /// The line of the program itself (from 1) that is run: that of the call, while a file it called is run.
     fn line(&self) -> u64 {
         if self.at.source == 0 {

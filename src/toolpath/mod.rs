@@ -37,4 +37,4 @@ pub use dialect::Dialect;
 pub use event::{Event, Fault, Warning};
 pub use interpreter::{Interpreter, Options, RapidPath};
 pub use path::{Motion, Move, Plane, Sampler};
-pub use tools::{Tool, ToolTable};
+pub use tools::{Bit, Cone, Shaped, Tool, ToolEnd, ToolShape, ToolTable, bit, bits};

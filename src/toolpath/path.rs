@@ -204,6 +204,70 @@ impl Move {
         (longest / step * (1.0 - 1e-12)).ceil()
     }
 
+    /// The ends of chords no farther from the move than `tolerance`, without its start, the last exactly at its end: one for a straight move.
+    ///
+    /// Where an arc is cut depends on its centre and radius alone, not on where it begins: so one that lies on another has the same chords, and
+    /// what the first has removed is not removed again between the chords of the second.
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "at most a million turns of a million chords"
+    )]
+    pub fn chord_ends(&self, tolerance: f64) -> impl Iterator<Item = [f64; 3]> + use<> {
+        let this = *self;
+        let (from, to) = this.arc.map_or((0, 0), |arc| {
+            let step = chord_angle(arc, tolerance);
+            // Multiples of the step strictly between the ends: one that is an end but for the last bits of an angle is none.
+            let ends = [arc.angle, arc.angle + arc.sweep].map(|angle| angle / step);
+            let (least, most) = (ends[0].min(ends[1]), ends[0].max(ends[1]));
+            (
+                (least + 1e-6).floor() as i64 + 1,
+                (most - 1e-6).ceil() as i64,
+            )
+        });
+        let between = (from..to).map(move |index| match this.arc {
+            Some(arc) => {
+                let index = if arc.sweep < 0.0 {
+                    from + to - 1 - index
+                } else {
+                    index
+                };
+                let angle = chord_angle(arc, tolerance) * exact(index);
+                this.at((angle - arc.angle) / arc.sweep)
+            }
+            None => this.end,
+        });
+        between.chain(std::iter::once(this.end))
+    }
+
+    /// The lesser radius of an arc, where it begins or ends. Units: mm.
+    pub fn radius(&self) -> Option<f64> {
+        self.arc.map(|arc| arc.radius[0].min(arc.radius[1]))
+    }
+
+    /// Directions in which the move begins and ends, of length 1; none without a length.
+    pub fn directions(&self) -> Option<[[f64; 3]; 2]> {
+        let unit = |vector: [f64; 3]| {
+            let length = distance([0.0; 3], vector);
+            (length > 0.0).then(|| vector.map(|part| part / length))
+        };
+        let along = [0, 1, 2].map(|axis| self.end[axis] - self.start[axis]);
+        let Some(arc) = self.arc else {
+            let direction = unit(along)?;
+            return Some([direction, direction]);
+        };
+        let at = |end: usize, angle: f64| {
+            let [first, second] = arc.plane.axes();
+            let (sine, cosine) = angle.sin_cos();
+            let outwards = arc.radius[1] - arc.radius[0];
+            let around = arc.sweep * arc.radius[end];
+            let mut vector = along;
+            vector[first] = outwards * cosine - around * sine;
+            vector[second] = outwards * sine + around * cosine;
+            unit(vector)
+        };
+        Some([at(0, arc.angle)?, at(1, arc.angle + arc.sweep)?])
+    }
+
     /// Positions at the end of each of [`Self::parts`], so without the start. A move without length has none.
     pub fn positions(&self, step: f64) -> impl Iterator<Item = [f64; 3]> + use<> {
         let this = *self;
@@ -256,6 +320,20 @@ impl Sampler {
         self.last = Some(next.end);
         start.into_iter().chain(next.positions(self.step))
     }
+}
+
+/// The angle of chords, a whole part of a quarter turn.
+fn chord_angle(arc: Arc, tolerance: f64) -> f64 {
+    let radius = arc.radius[0].max(arc.radius[1]);
+    // The chord of an angle is radius * (1 - cos(angle / 2)) from its arc. At least four a turn, whatever the tolerance.
+    let half = (1.0 - tolerance / radius).max(0.5).acos();
+    let quarter = std::f64::consts::FRAC_PI_2;
+    quarter / (quarter / (2.0 * half)).ceil().clamp(1.0, 250_000.0)
+}
+
+#[expect(clippy::cast_precision_loss, reason = "far below 2^52")]
+fn exact(index: i64) -> f64 {
+    index as f64
 }
 
 fn mix(from: f64, to: f64, part: f64) -> f64 {

@@ -267,6 +267,41 @@ impl Cutter {
     }
 }
 
+/// A disc or a truncated cone around the z axis, between two polygons that stand for circles: a piece of a tool. Each end has a diameter and
+/// a height, in steps; one of the diameters may be 0.
+/// # Errors
+/// [`InvalidCutter`] by variant; [`InvalidCutter::Solid`] when there is no volume between the ends.
+pub fn cone(
+    ends: [(u32, i64); 2],
+    sides: u16,
+    fit: Fit,
+) -> Result<(Solid, Deviation), InvalidCutter> {
+    if !(3..=SIDES_MAX).contains(&sides) {
+        return Err(InvalidCutter::Sides { sides });
+    }
+    let mut points = Vec::new();
+    let mut deviation = Deviation::default();
+    for (diameter, height) in ends {
+        if i64::from(diameter) > EXTENT_MAX {
+            return Err(InvalidCutter::Diameter { steps: diameter });
+        }
+        if diameter == 0 {
+            points.push(Point::new([0, 0, height]).map_err(InvalidSolid::from)?);
+            continue;
+        }
+        let radius = half(diameter);
+        let ring = Ring {
+            polygon: Polygon::of_circle(radius, sides, fit),
+            multiple: 1,
+            radius,
+            height,
+        };
+        deviation = deviation.max(ring.polygon.deviation(1, radius));
+        points.extend(ring.points(height)?);
+    }
+    Ok((Solid::hull(&points)?, deviation))
+}
+
 /// Half a step as a length.
 const HALF_LENGTH: Length = 1 << (LENGTH_BITS - 1);
 const HALF_STEP: i128 = 1 << (LENGTH_BITS - 1);

@@ -29,7 +29,7 @@ mod sweep;
 mod vector;
 
 pub(crate) use builder::edges_of;
-pub use cutter::{Cutter, End, InvalidCutter, RINGS_MAX, SIDES_MAX, STRAIGHT_ANGLE};
+pub use cutter::{Cutter, End, InvalidCutter, RINGS_MAX, SIDES_MAX, STRAIGHT_ANGLE, cone};
 pub use limits::{EXTENT_MAX, VERTICES_MAX};
 pub use plane::Plane;
 pub use point::{InvalidPoint, Point};

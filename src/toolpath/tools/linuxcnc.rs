@@ -1,14 +1,24 @@
 //! `LinuxCNC`'s tool table: a line a tool, such as `T1 P1 Z-1.5 D6.0 ;end mill`.
 
-use super::ToolTable;
+use std::collections::BTreeSet;
+
+use super::{Shaped, ToolTable};
 
 impl ToolTable {
-    /// Reads a table whose lengths are so many millimetres each.
+    /// Adds the tools of a file: a library of Fusion 360 in JSON, or `LinuxCNC`'s table, whose lengths are so many millimetres each.
     ///
     /// # Errors
-    /// A sentence with the line at fault.
-    pub fn read(text: &str, mm_per_unit: f64) -> Result<Self, String> {
-        let mut table = Self::default();
+    /// A sentence with the line or the place at fault.
+    pub fn add(&mut self, text: &str, mm_per_unit: f64) -> Result<(), String> {
+        if !text.trim_start().starts_with('{') {
+            return self.add_linuxcnc(text, mm_per_unit);
+        }
+        let value = serde_json::from_str(text).map_err(|error| error.to_string())?;
+        self.add_fusion(&value)
+    }
+
+    fn add_linuxcnc(&mut self, text: &str, mm_per_unit: f64) -> Result<(), String> {
+        let mut numbers = BTreeSet::new();
         for (line, row) in (1..).zip(text.lines()) {
             let row = row.split(';').next().unwrap_or_default();
             let mut number = None;
@@ -36,10 +46,14 @@ impl ToolTable {
                 }
                 return Err(format!("line {line}: there is no T"));
             };
-            if table.get(number).is_some() {
+            if !numbers.insert(number) {
                 return Err(format!("line {line}: T{number} stands twice"));
             }
-            let tool = table.entry(number);
+            let tool = self.entry(number);
+            if tool.shape == Shaped::Unknown {
+                let why = "a tool table says how long and how wide it is, not its shape";
+                tool.shape = Shaped::Unsupported(why.into());
+            }
             for (letter, value) in words {
                 match letter {
                     'X' => tool.offset[0] = value,
@@ -52,6 +66,6 @@ impl ToolTable {
                 }
             }
         }
-        Ok(table)
+        Ok(())
     }
 }
