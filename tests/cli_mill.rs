@@ -343,7 +343,8 @@ fn refused_programs_measure_nothing() {
     ] {
         check_refused(&["-", "--edge", "3", "--step", "1"], program, words);
     }
-    check_refused(&["-"], "", &["--edge"]);
+    check_refused(&["-"], "G21 G1 X1\n", &["tool 0", "--tool", "--edge"]);
+    check_refused(&["-", "--step", "1"], "", &["--edge"]);
     check_refused(&["-", "--edge", "1.00005"], "G21 G1 X1\n", &["--edge"]);
     check_refused(
         &["-", "--edge", "1", "--step", "0"],

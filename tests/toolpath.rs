@@ -5,6 +5,7 @@
 
 use std::f64::consts::{PI, SQRT_2, TAU};
 use std::fmt::Write;
+use std::path::Path;
 
 use proptest::prelude::*;
 use union3d::toolpath::{
@@ -840,6 +841,12 @@ fn tool_lengths_and_axis_words_of_other_codes_move_nothing() {
 fn the_table_of_words_is_the_one_that_is_followed() {
     let table = union3d::toolpath::words_table();
     assert!(table.lines().count() > 100, "{table}");
+    let readme = Path::new(env!("CARGO_MANIFEST_DIR")).join("README.md");
+    let readme = std::fs::read_to_string(readme).unwrap();
+    assert!(
+        readme.contains(&format!("\n\n{table}\n")),
+        "put what `union3d path --words` prints into README.md"
+    );
     let treatment = |words: &str, dialect: usize| {
         let row = table
             .lines()

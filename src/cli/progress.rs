@@ -19,6 +19,17 @@ pub(crate) fn bytes(size: Option<u64>) -> ProgressBar {
     bar
 }
 
+/// A bar over so many moves of a program.
+pub(crate) fn moves(count: u64) -> ProgressBar {
+    let bar = ProgressBar::new(count);
+    let style = ProgressStyle::with_template(
+        "{bar:30} {percent:>3} % of {human_len} moves, {eta} to go  {msg}",
+    );
+    bar.set_style(style.expect("the template above is right"));
+    bar.enable_steady_tick(Duration::from_millis(200));
+    bar
+}
+
 /// Writes a line to standard error without tearing the bar.
 pub(crate) fn line(bar: &ProgressBar, text: &str) {
     bar.suspend(|| eprintln!("{text}"));

@@ -114,10 +114,11 @@ impl LineChange {
             line: self.line,
             kind: self.kind,
             duration: self.duration,
-            cubes: self.places.len() as u64,
+            bodies: self.places.len() as u64,
             removed,
             total_removed: after.removed,
             area: after.area,
+            tool: None,
         }
     }
 }

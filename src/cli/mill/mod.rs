@@ -1,7 +1,10 @@
-//! `union3d mill`: G-code to the cubes that a cubic cutter sweeps, and what each line removes.
+//! `union3d mill`: G-code to what tools sweep, and what each line removes. Here with the square cutter of `--edge`, which sweeps cubes; `solids` has
+//! tools of their own shapes.
 
 mod grpc;
 mod line;
+mod solids;
+mod stock;
 mod tally;
 mod target;
 
@@ -16,13 +19,14 @@ use indicatif::ProgressBar;
 use serde_json::{Value, value::RawValue};
 
 use self::line::LineChange;
+use self::stock::StockForm;
 use self::tally::{Cutting, Kind, Tally};
 use self::target::Target;
 use super::client::{Client, SceneWanted};
 use super::cutter::{self, Cutter, Length, STEPS_PER_EDGE, Unit};
 use super::input;
 use super::path::{self, RAPID_RATE_MM};
-use super::program::{self, ProgramArgs};
+use super::program::ProgramArgs;
 use super::{Outcome, progress, report};
 use union3d::geometry::Place;
 use union3d::toolpath::{Event, Interpreter, Motion, Move, Warning};
@@ -31,8 +35,13 @@ use union3d::wire::convert::{self, Anchor, Settings, SettingsDocument, StockDocu
 /// Positions nearer to each other than this many lattice steps make no more places, only more work.
 const LATTICE_STEPS_MIN: f64 = 0.01;
 
-/// The exit status when rapids cut and --fail-on-rapid-cut is given.
-const RAPID_CUT: u8 = 3;
+/// The exit status when something is hit and --fail-on-collision is given.
+const COLLISION: u8 = 3;
+
+/// Lattice steps in a unit when --steps-per-unit is not given: a thousandth of a millimetre, a ten-thousandth of an inch. A square cutter has 1000
+/// in any unit.
+const STEPS_PER_UNIT: u32 = 1000;
+const STEPS_PER_INCH: u32 = 10_000;
 
 /// Lines of one kind that the report for people names; --json has all.
 const LINES_MAX: usize = 10;
@@ -40,79 +49,103 @@ const LINES_MAX: usize = 10;
 /// Warnings of one kind that are printed; the rest are counted.
 const WARNINGS_MAX: u64 = 10;
 
-/// Turn G-code into the cubes that a cubic cutter sweeps, and measure their union
+/// Turn G-code into what its tools sweep, and measure what they remove
 #[expect(clippy::struct_excessive_bools, reason = "each is a switch of its own")]
 #[derive(Debug, clap::Args)]
 #[command(
-    long_about = "Reads G-code, moves a cubic cutter along it, and measures the union of all cubes it covers: what it removes.
+    long_about = "Reads G-code, carries tools along it, and measures the union of what they sweep: what is removed.
 
-The cutter is square, as wide as the given edge and --length long, and stands with its tip on the programmed point: cubes on top of each other. \
-It is put down at least once every --step along straight lines and arcs, at both ends of every move, rounded to the lattice (halves away from zero); \
-a place it is in already is not counted again. Feed moves cut; with --rapid the rapids (G0) cut, too. With a stock rapids are always swept, and those that \
-remove something are reported.
+Tools have shapes: --tool T1=flat:6 (or ball:6, bull:6,corner=1, vee:6,angle=60,tip=0.2, drill:6,angle=118, tapered:6,angle=3,tip=2, \
+form:0x0/4x3/4x10 of diameters and heights), with length=22 from the tip to the holder, flutes=15, shank=6 and holder=40x30/50x20; from --tools; or from \
+comments of the program as Autodesk's posts write them. Without a number it is the tool of programs that name none. A tool without a shape is refused where it cuts. \
+Every straight feed is one solid, exactly what the tool sweeps, its ends rounded to the lattice; round tools are polygons of --sides, arcs and splines chords no farther off than \
+--tolerance, and the report says how far that is. The flutes cut. With a stock, what the shank or the holder goes through is told, and rapids that hit material.
 
+With --edge the cutter is square and sweeps cubes: as wide as the edge and --length long, its tip on the programmed point, put down at least once every --step along the path. \
+A place it is in already is not counted again. A second tool is refused where it cuts, because there is one --edge.
+
+Feed moves cut; with --rapid the rapids (G0) cut, too. With a stock rapids are always swept, and those that remove something are reported. \
 The path is right, or the program is refused at its line. What is understood, and what is let pass because it changes nothing of the path, says \
 `union3d path --words`; what was taken for granted or not done is reported, once per kind. Where the machine stands is not known before the program has said x, y and z, \
 and after it went to its reference point (G28, G30) or to machine coordinates (G53) without --home: a move from there cuts at its end only, a rapid to there hits nothing, \
-and a feed before the program has said the coordinate again is refused. A second tool is refused where it cuts, because there is one --edge.
+and a feed before the program has said the coordinate again is refused.
 
-Each line of the program is one change, with the line's number as its `move` and its machine time as its `duration`: length by feed, \
-rapids (also those that cut nothing) at --rapid-rate, dwells (G4) as long as they say. A line of more than 65,536 cubes becomes several \
-changes, which share its time as they share its cubes. The report says what was removed, how fast, which lines cut nothing, and which rapids hit material.
+The report says, with --csv for each line: what was removed, how fast, which lines cut nothing, what was hit, and the machine time: length by feed, \
+rapids (also those that cut nothing) at --rapid-rate, dwells (G4) as long as they say; with --acceleration also getting going and stopping. Ctrl-C ends it with the \
+report of what is done, and status 130.
 
-Without --server or --grpc the cubes go into an engine in this process. With one of them they go into a scene of a running \
-`union3d serve`, which is made if it is not there; its mass properties are those of everything in it. --grpc streams: changes follow \
-each other without waiting for answers. --server asks over HTTP, one line after the other.",
+With --server or --grpc the cubes of --edge go into a scene of a running `union3d serve`, which is made if it is not there; its mass properties are \
+those of everything in it. Each line of the program is one change, with the line's number as its `move` and its machine time as its `duration`. A line of more than 65,536 cubes \
+becomes several changes, which share its time as they share its cubes. --grpc streams: changes follow each other without waiting for answers. --server asks over HTTP, \
+one line after the other.",
     after_long_help = "Examples:
-  union3d mill pocket.gcode --edge 3.175
+  union3d mill pocket.gcode --tool flat:3.175 --stock 0,0,-10:80,60,0
+  union3d mill part.nc --tool T1=flat:10,length=30,holder=40x50 --tool T2=ball:6,length=25,holder=30x50 --stock 0,0,-20:100,80,0 --csv lines.csv --fail-on-collision
+  union3d mill part.nc --tools library.json --stock cylinder:0,0,-40:60x40 --acceleration 500
+  union3d mill pocket.gcode --edge 3.175 --stock 0,0,-10:80,60,0 --json
   union3d mill pocket.gcode --edge 3.175 --step 0.05 --out pocket.i32
   union3d measure pocket.i32 --edge 3.175
-  union3d mill pocket.gcode --edge 0.125 --unit inch
-  union3d mill pocket.gcode --edge 3.175 --stock 0,0,-10:80,60,0 --csv lines.csv --fail-on-rapid-cut
-  union3d mill pocket.gcode --edge 3.175 --server http://127.0.0.1:7373 --scene pocket
-  cat pocket.gcode | union3d mill - --edge 3.175 --json"
+  union3d mill pocket.gcode --edge 0.125 --unit inch --server http://127.0.0.1:7373 --scene pocket"
 )]
 pub(crate) struct Args {
     /// The program; - is standard input.
     file: PathBuf,
-    /// Edge of the cubic cutter, in the scene's unit: a whole number of lattice steps.
+    /// Edge of a square cutter, in place of tools with shapes, in the scene's unit: a whole number of lattice steps.
     #[arg(long, value_name = "LENGTH")]
-    edge: f64,
+    edge: Option<f64>,
     /// Longest way between two positions of the cutter, in the scene's unit [default: a twentieth of the edge].
-    #[arg(long, value_name = "LENGTH", value_parser = cutter::positive)]
+    #[arg(long, value_name = "LENGTH", value_parser = cutter::positive, requires = "edge")]
     step: Option<f64>,
     /// Send the cubes to this server over HTTP, such as `http://127.0.0.1:7373`, instead of measuring them here.
-    #[arg(long, value_name = "URL", conflicts_with = "grpc")]
+    #[arg(long, value_name = "URL", conflicts_with = "grpc", requires = "edge")]
     server: Option<String>,
     /// Stream the cubes to this server over gRPC, such as `grpc://127.0.0.1:7374`.
-    #[arg(long, value_name = "URL")]
+    #[arg(long, value_name = "URL", requires = "edge")]
     grpc: Option<String>,
     /// Scene on the server [default: the file's name].
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", requires = "edge")]
     scene: Option<String>,
-    /// The block of material, from its least to its greatest corner in the scene's unit: `x,y,z:x,y,z`.
-    #[arg(long, value_name = "MIN:MAX", value_parser = stock, allow_hyphen_values = true)]
-    stock: Option<[[f64; 3]; 2]>,
+    /// The material, in the scene's unit: a box from its least to its greatest corner, `x,y,z:x,y,z`; for tools with shapes also an upright
+    /// cylinder by the middle of its lower end, `cylinder:x,y,z:DIAMETERxHEIGHT`, or a convex hull, `hull:x,y,z:x,y,z:...`.
+    #[arg(long, value_name = "STOCK", value_parser = stock::parse, allow_hyphen_values = true)]
+    stock: Option<StockForm>,
     /// Speed of rapids, in the scene's unit a minute [default: 5000 mm a minute].
     #[arg(long, value_name = "RATE", value_parser = cutter::positive)]
     rapid_rate: Option<f64>,
     /// Write what each line removed to this file, as CSV.
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
-    /// End with status 3 when a rapid removes something.
-    #[arg(long, requires = "stock")]
-    fail_on_rapid_cut: bool,
+    /// End with status 3 when a rapid, a shank or a holder hits material.
+    #[arg(long, requires = "stock", visible_alias = "fail-on-rapid-cut")]
+    fail_on_collision: bool,
+    /// Volumes up to this are no hit, and a feed line that removes no more cuts air; in the scene's unit cubed.
+    #[arg(long, value_name = "VOLUME", value_parser = not_negative, default_value_t = 0.0)]
+    least_volume: f64,
+    /// Sides of the polygon that stands for the circle of a round tool.
+    #[arg(
+        long,
+        value_name = "SIDES",
+        default_value_t = 32,
+        conflicts_with = "edge"
+    )]
+    sides: u16,
+    /// Acceleration of the machine, in the scene's unit a second squared: then moves take the time that it needs to get going and to stop.
+    #[arg(long, value_name = "RATE", value_parser = cutter::positive, conflicts_with = "edge")]
+    acceleration: Option<f64>,
+    /// How far a corner may be cut for the speed at which it is passed, as Grbl takes it (the path stays as it is); in the scene's unit.
+    #[arg(long, value_name = "LENGTH", value_parser = cutter::positive, default_value_t = 0.01, requires = "acceleration")]
+    junction_deviation: f64,
     /// Unit of the scene, of --edge and of --step. The program's own unit is what its G20 or G21 says.
     #[arg(long, value_enum, default_value_t = Unit::Mm)]
     unit: Unit,
-    /// Lattice steps in a unit: positions are rounded to them.
-    #[arg(long, value_name = "STEPS", default_value_t = 1000)]
-    steps_per_unit: u32,
+    /// Lattice steps in a unit: positions are rounded to them [default: 1000; 10000 for tools with shapes in inches].
+    #[arg(long, value_name = "STEPS")]
+    steps_per_unit: Option<u32>,
     /// Length of the cutter from its tip up, in the scene's unit [default: the edge; with --stock up to its top].
-    #[arg(long, value_name = "LENGTH", value_parser = cutter::positive)]
+    #[arg(long, value_name = "LENGTH", value_parser = cutter::positive, requires = "edge")]
     length: Option<f64>,
     /// Take the square cutter for every tool of the program.
-    #[arg(long)]
+    #[arg(long, requires = "edge")]
     one_cutter: bool,
     #[command(flatten)]
     program: ProgramArgs,
@@ -120,18 +153,31 @@ pub(crate) struct Args {
     #[arg(long)]
     rapid: bool,
     /// Write the lower corners of the cubes, in steps, as little-endian 32-bit triplets: a file for `union3d measure`.
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", requires = "edge")]
     out: Option<PathBuf>,
-    /// Print one JSON object: `{"moves","moves_without_time","cubes","seconds","cutting","warnings","mass_properties"}`.
+    /// Print one JSON object: `{"moves","moves_without_time","cubes","seconds","cutting","warnings","mass_properties"}`, of tools with shapes with
+    /// "solids", "rounding" and "remaining".
     #[arg(long)]
     json: bool,
 }
 
-/// A block, such as `0,0,-10:80,60,0`.
-fn stock(text: &str) -> Result<[[f64; 3]; 2], String> {
-    text.split_once(':')
-        .and_then(|(min, max)| Some([program::point(min).ok()?, program::point(max).ok()?]))
-        .ok_or_else(|| "it is not two corners, such as 0,0,-10:80,60,0".to_owned())
+/// A volume on the command line.
+fn not_negative(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(value) if value >= 0.0 && f64::is_finite(value) => Ok(value),
+        Ok(_) => Err("it must not be less than 0".to_owned()),
+        Err(_) => Err("it is not a number".to_owned()),
+    }
+}
+
+impl Args {
+    /// Lattice steps in a unit.
+    fn steps_per_unit(&self) -> u32 {
+        self.steps_per_unit.unwrap_or(match (self.edge, self.unit) {
+            (None, Unit::Inch) => STEPS_PER_INCH,
+            _ => STEPS_PER_UNIT,
+        })
+    }
 }
 
 /// What `mill --json` prints.
@@ -148,7 +194,10 @@ struct Milled<'answer> {
 
 /// Runs `mill`.
 pub(crate) fn run(args: Args) -> Outcome {
-    let settings = settings(&args)?;
+    let Some(edge) = args.edge else {
+        return solids::run(&args);
+    };
+    let settings = settings(&args, edge)?;
     let program = args.program.open(&args.file)?;
     let runtime = tokio::runtime::Runtime::new()?;
     runtime.block_on(mill(args, &settings, program))
@@ -156,8 +205,10 @@ pub(crate) fn run(args: Args) -> Outcome {
 
 async fn mill(args: Args, settings: &Settings, (mut program, size): (Interpreter, u64)) -> Outcome {
     let started = Instant::now();
-    let step = args.step.unwrap_or(args.edge / STEPS_PER_EDGE);
-    if step * f64::from(args.steps_per_unit) < LATTICE_STEPS_MIN {
+    let step = args
+        .step
+        .unwrap_or(settings.document().edge / STEPS_PER_EDGE);
+    if step * f64::from(args.steps_per_unit()) < LATTICE_STEPS_MIN {
         return Err(format!(
             "--step {step:?} is less than {LATTICE_STEPS_MIN} lattice steps, to which positions are rounded: take a longer one, or more --steps-per-unit"
         )
@@ -166,10 +217,11 @@ async fn mill(args: Args, settings: &Settings, (mut program, size): (Interpreter
     let mut target = target(&args, settings).await?;
     let mut out = created(args.out.as_deref())?;
     let csv = created(args.csv.as_deref())?.map(|file| Box::new(file) as Box<dyn Write>);
-    let mut tally = Tally::new(args.steps_per_unit, csv);
+    let scale = tally::Scale::of_cubes(args.steps_per_unit(), args.least_volume);
+    let mut tally = Tally::of_cubes(scale, csv).map_err(about_csv(&args))?;
     let bar = progress::bytes(Some(size));
     let mut warnings = Warnings::default();
-    let mut cutter = Cutter::new(settings, args.unit, step, length(&args)?);
+    let mut cutter = Cutter::new(settings, args.unit, step, length(&args, settings)?);
     let mut count = Count::default();
     let mut cutting_tool = None;
     let mut open: Option<LineChange> = None;
@@ -236,8 +288,8 @@ async fn mill(args: Args, settings: &Settings, (mut program, size): (Interpreter
         mass_properties: &mass_properties,
     };
     print(&args, &milled)?;
-    Ok(if rapids_cut && args.fail_on_rapid_cut {
-        ExitCode::from(RAPID_CUT)
+    Ok(if rapids_cut && args.fail_on_collision {
+        ExitCode::from(COLLISION)
     } else {
         ExitCode::SUCCESS
     })
@@ -302,15 +354,15 @@ fn rapid_rate(args: &Args) -> f64 {
 }
 
 /// How long the cutter is.
-fn length(args: &Args) -> Result<Length, String> {
-    match (args.length, args.stock) {
-        (Some(length), _) if length < args.edge => Err(format!(
-            "--length {length} is less than --edge {}: cubes are as high as they are wide",
-            args.edge
+fn length(args: &Args, settings: &Settings) -> Result<Length, String> {
+    let SettingsDocument { edge, stock, .. } = &settings.document();
+    match (args.length, stock) {
+        (Some(length), _) if length < *edge => Err(format!(
+            "--length {length} is less than --edge {edge}: cubes are as high as they are wide",
         )),
         (Some(length), _) => Ok(Length::Given(length)),
-        (None, Some([_, max])) => Ok(Length::UpTo(max[2])),
-        (None, None) => Ok(Length::Given(args.edge)),
+        (None, Some(stock)) => Ok(Length::UpTo(stock.max[2])),
+        (None, None) => Ok(Length::Given(*edge)),
     }
 }
 
@@ -445,6 +497,29 @@ fn report_cutting(cutting: &Cutting, args: &Args) -> String {
         }
         row("rapids that cut", said);
     }
+    if let Some(hits) = cutting
+        .shank_or_holder
+        .as_ref()
+        .filter(|_| args.stock.is_some())
+    {
+        let lines: Vec<String> = hits
+            .lines
+            .iter()
+            .map(|hit| format!("{} ({} {unit}^3)", hit.line, number(hit.volume)))
+            .collect();
+        row("shank or holder hits", listed(&lines));
+    }
+    for tool in &cutting.tools {
+        row(
+            &format!("tool {}", tool.tool),
+            format!(
+                "{} {unit}^3 in {} s, {} lines",
+                number(tool.volume_removed),
+                number(tool.machine_seconds),
+                tool.lines
+            ),
+        );
+    }
     text
 }
 
@@ -463,13 +538,14 @@ fn listed(lines: &[String]) -> String {
     }
 }
 
-fn settings(args: &Args) -> Result<Settings, Box<dyn std::error::Error>> {
+fn settings(args: &Args, edge: f64) -> Result<Settings, Box<dyn std::error::Error>> {
+    let stock = args.stock.as_ref().map(StockForm::corners).transpose()?;
     let wanted = SettingsDocument {
-        steps_per_unit: args.steps_per_unit.into(),
+        steps_per_unit: args.steps_per_unit().into(),
         unit: args.unit.label().to_owned(),
         anchor: Anchor::Center,
-        stock: args.stock.map(|[min, max]| StockDocument { min, max }),
-        ..SettingsDocument::with_edge(args.edge)
+        stock: stock.map(|[min, max]| StockDocument { min, max }),
+        ..SettingsDocument::with_edge(edge)
     };
     Ok(Settings::check(&wanted).map_err(|faults| input::faults(&faults))?)
 }
@@ -507,7 +583,7 @@ async fn target(args: &Args, settings: &Settings) -> Result<Target, Box<dyn std:
     let wanted = SceneWanted {
         name: args.scene.clone().unwrap_or_else(|| scene_name(&args.file)),
         edge: settings.document().edge,
-        steps_per_unit: args.steps_per_unit,
+        steps_per_unit: args.steps_per_unit(),
         unit: args.unit.label().to_owned(),
         stock: settings.document().stock,
     };

@@ -1,5 +1,6 @@
 //! What each line of a program did: volume, time, and what a machinist wants to hear of.
 
+use std::collections::BTreeMap;
 use std::io::Write;
 use std::time::Duration;
 
@@ -16,7 +17,7 @@ pub(super) enum Kind {
     Dwell,
 }
 
-/// One line of the program, or a part of it. Units: steps cubed, steps squared.
+/// One line of the program, or a part of it. Volumes and areas are in the units of [`Scale`].
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub(super) struct Cut {
     /// Line of the program.
@@ -25,31 +26,84 @@ pub(super) struct Cut {
     pub(super) kind: Kind,
     /// Machine time; none when the program gives no feed.
     pub(super) duration: Option<Duration>,
-    /// Cubes it put down.
-    pub(super) cubes: u64,
+    /// Cubes or solids it put down.
+    pub(super) bodies: u64,
     /// Volume it removed.
     pub(super) removed: i128,
     /// Volume removed since the scene was empty.
     pub(super) total_removed: i128,
     /// Area of the union.
     pub(super) area: i128,
+    /// What is known where tools have shapes.
+    pub(super) tool: Option<ToolCut>,
+}
+
+/// What a tool with a shape did on a line.
+#[derive(Clone, Copy, PartialEq, Debug)]
+pub(super) struct ToolCut {
+    /// Its number.
+    pub(super) number: u32,
+    /// Volume of the material that its shank or its holder went through.
+    pub(super) hit: i128,
+}
+
+/// What makes user units of a scene's integers, and what is too little to be said.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Scale {
+    /// Units of volume in a user unit cubed.
+    pub(super) volume: f64,
+    /// Units of area in a user unit squared.
+    pub(super) area: f64,
+    /// Volumes up to this are no hit, and feed lines that remove no more cut air. Units: user units cubed.
+    pub(super) least_volume: f64,
+}
+
+impl Scale {
+    /// Of a scene of cubes.
+    pub(super) fn of_cubes(steps_per_unit: u32, least_volume: f64) -> Self {
+        let steps = f64::from(steps_per_unit);
+        Self {
+            volume: steps.powi(3),
+            area: steps.powi(2),
+            least_volume,
+        }
+    }
+
+    fn volume(&self, units: i128) -> f64 {
+        float(units) / self.volume
+    }
+
+    /// Whether a volume is worth a word.
+    fn counts(&self, units: i128) -> bool {
+        units > 0 && self.volume(units) > self.least_volume
+    }
 }
 
 /// Adds lines up, and writes them to a file if one is wanted.
 pub(super) struct Tally<'file> {
-    steps_per_unit: f64,
+    scale: Scale,
     csv: Option<csv::Writer<Box<dyn Write + 'file>>>,
     /// The line that is not complete yet.
     open: Option<Cut>,
     cutting: Cutting,
     sums: Sums,
+    tools: BTreeMap<u32, ToolSums>,
 }
 
-/// What is added up in integers, and becomes user units once. Units: steps cubed.
+/// What one tool did.
+#[derive(Default)]
+struct ToolSums {
+    lines: u64,
+    removed: i128,
+    time: Duration,
+}
+
+/// What is added up in integers, and becomes user units once.
 #[derive(Default)]
 struct Sums {
     removed: i128,
     removed_by_rapids: i128,
+    hit: i128,
     /// What feed moves of known duration removed.
     removed_timed: i128,
     timed: Duration,
@@ -71,6 +125,21 @@ pub(super) struct Cutting {
     pub(super) air_cuts: AirCuts,
     /// Rapids that removed something.
     pub(super) rapid_cuts: RapidCuts,
+    /// Lines on which the shank or the holder of a tool goes through material.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) shank_or_holder: Option<RapidCuts>,
+    /// Totals by tool, where tools have shapes.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub(super) tools: Vec<ToolTotals>,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct ToolTotals {
+    pub(super) tool: u32,
+    /// Lines that take machine time.
+    pub(super) lines: u64,
+    pub(super) machine_seconds: f64,
+    pub(super) volume_removed: f64,
 }
 
 #[derive(Debug, Default, Serialize)]
@@ -99,38 +168,110 @@ pub(super) struct RapidCut {
     pub(super) volume: f64,
 }
 
+/// The columns of `--csv`, of cubes and of solids.
+const COLUMNS: [&str; 9] = [
+    "line",
+    "motion",
+    "cubes",
+    "duration",
+    "volume_removed",
+    "removal_rate",
+    "total_removed",
+    "area",
+    "warning",
+];
+const COLUMNS_OF_SOLIDS: [&str; 11] = [
+    "line",
+    "motion",
+    "solids",
+    "duration",
+    "volume_removed",
+    "removal_rate",
+    "total_removed",
+    "area",
+    "warning",
+    "tool",
+    "shank_or_holder",
+];
+
 /// A row of `--csv`: a line of the program, or after them all a warning. Units: user units, seconds.
 #[derive(Debug, Default, Serialize)]
 struct Row {
     line: u64,
     motion: &'static str,
-    cubes: Option<u64>,
+    bodies: Option<u64>,
     duration: Option<f64>,
     volume_removed: Option<f64>,
     removal_rate: Option<f64>,
     total_removed: Option<f64>,
     area: Option<f64>,
     warning: Option<String>,
+    /// Of solids only: the tool, and the volume that its shank or its holder hits.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    tool: Option<(Option<u32>, Option<f64>)>,
 }
 
 impl<'file> Tally<'file> {
-    /// A tally in units of so many steps, which also writes each line to `csv`.
-    pub(super) fn new(steps_per_unit: u32, csv: Option<Box<dyn Write + 'file>>) -> Self {
-        Self {
-            steps_per_unit: steps_per_unit.into(),
-            csv: csv.map(csv::Writer::from_writer),
+    /// A tally of cubes, which also writes each line to `csv`.
+    pub(super) fn of_cubes(scale: Scale, csv: Option<Box<dyn Write + 'file>>) -> csv::Result<Self> {
+        Self::new(scale, csv, &COLUMNS)
+    }
+
+    /// A tally of solids.
+    pub(super) fn of_solids(
+        scale: Scale,
+        csv: Option<Box<dyn Write + 'file>>,
+    ) -> csv::Result<Self> {
+        let mut this = Self::new(scale, csv, &COLUMNS_OF_SOLIDS)?;
+        this.cutting.shank_or_holder = Some(RapidCuts::default());
+        Ok(this)
+    }
+
+    fn new(
+        scale: Scale,
+        csv: Option<Box<dyn Write + 'file>>,
+        columns: &[&str],
+    ) -> csv::Result<Self> {
+        let csv = match csv {
+            Some(file) => {
+                let mut csv = csv::WriterBuilder::new()
+                    .has_headers(false)
+                    .from_writer(file);
+                csv.write_record(columns)?;
+                Some(csv)
+            }
+            None => None,
+        };
+        Ok(Self {
+            scale,
+            csv,
             open: None,
             cutting: Cutting::default(),
             sums: Sums::default(),
-        }
+            tools: BTreeMap::new(),
+        })
+    }
+
+    /// Whether this is one of solids.
+    fn is_of_solids(&self) -> bool {
+        self.cutting.shank_or_holder.is_some()
     }
 
     /// Adds the next line, or the next part of the same.
     pub(super) fn add(&mut self, cut: Cut) -> csv::Result<()> {
         if let Some(open) = &mut self.open
-            && (open.line, open.kind) == (cut.line, cut.kind)
+            && open.line == cut.line
+            && (open.kind == cut.kind || [open.kind, cut.kind].contains(&Kind::Dwell))
+            && open.tool.map(|tool| tool.number) == cut.tool.map(|tool| tool.number)
         {
-            open.cubes += cut.cubes;
+            // A dwell belongs to the move that its line has, too.
+            if open.kind == Kind::Dwell {
+                open.kind = cut.kind;
+            }
+            open.bodies += cut.bodies;
+            if let (Some(open), Some(tool)) = (&mut open.tool, cut.tool) {
+                open.hit += tool.hit;
+            }
             open.removed += cut.removed;
             open.duration = match (open.duration, cut.duration) {
                 (Some(one), Some(other)) => Some(one + other),
@@ -150,18 +291,20 @@ impl<'file> Tally<'file> {
         if let Some(complete) = self.open.take() {
             self.close(&complete)?;
         }
+        let no_tool = self.is_of_solids().then_some((None, None));
         if let Some(csv) = &mut self.csv {
             for warning in warnings {
                 csv.serialize(Row {
                     line: warning.line,
                     motion: "warning",
                     warning: Some(format!("{} {}", warning.code, warning.text)),
+                    tool: no_tool,
                     ..Row::default()
                 })?;
             }
             csv.flush()?;
         }
-        let volume = |steps3| self.volume(steps3);
+        let volume = |units| self.scale.volume(units);
         let (removed, by_rapids) = (
             volume(self.sums.removed),
             volume(self.sums.removed_by_rapids),
@@ -173,11 +316,22 @@ impl<'file> Tally<'file> {
         cutting.volume_removed = removed;
         cutting.rapid_cuts.volume = by_rapids;
         cutting.removal_rate.mean = mean;
+        if let Some(hits) = &mut cutting.shank_or_holder {
+            hits.volume = volume(self.sums.hit);
+        }
+        let totals = |(&tool, sums): (&u32, &ToolSums)| ToolTotals {
+            tool,
+            lines: sums.lines,
+            machine_seconds: sums.time.as_secs_f64(),
+            volume_removed: volume(sums.removed),
+        };
+        cutting.tools = self.tools.iter().map(totals).collect();
         Ok(cutting)
     }
 
     fn close(&mut self, cut: &Cut) -> csv::Result<()> {
-        let removed = self.volume(cut.removed);
+        let scale = self.scale;
+        let removed = scale.volume(cut.removed);
         let duration = cut.duration.unwrap_or_default();
         let rate = (!duration.is_zero()).then(|| removed / duration.as_secs_f64());
         let (cutting, sums) = (&mut self.cutting, &mut self.sums);
@@ -185,7 +339,7 @@ impl<'file> Tally<'file> {
         sums.machine_time += duration;
         sums.removed += cut.removed;
         match cut.kind {
-            Kind::Rapid if cut.removed > 0 => {
+            Kind::Rapid if scale.counts(cut.removed) => {
                 cutting.rapid_cuts.count += 1;
                 sums.removed_by_rapids += cut.removed;
                 cutting.rapid_cuts.lines.push(RapidCut {
@@ -194,7 +348,7 @@ impl<'file> Tally<'file> {
                 });
             }
             Kind::Feed => {
-                if cut.removed == 0 {
+                if !scale.counts(cut.removed) {
                     cutting.air_cuts.count += 1;
                     cutting.air_cuts.lines.push(cut.line);
                 }
@@ -209,6 +363,22 @@ impl<'file> Tally<'file> {
             }
             Kind::Rapid | Kind::Dwell => {}
         }
+        if let Some(tool) = cut.tool {
+            let own = self.tools.entry(tool.number).or_default();
+            own.lines += 1;
+            own.removed += cut.removed;
+            own.time += duration;
+            if let Some(hits) = &mut cutting.shank_or_holder
+                && scale.counts(tool.hit)
+            {
+                hits.count += 1;
+                sums.hit += tool.hit;
+                hits.lines.push(RapidCut {
+                    line: cut.line,
+                    volume: scale.volume(tool.hit),
+                });
+            }
+        }
         let row = Row {
             line: cut.line,
             motion: match cut.kind {
@@ -216,22 +386,21 @@ impl<'file> Tally<'file> {
                 Kind::Rapid => "rapid",
                 Kind::Dwell => "dwell",
             },
-            cubes: Some(cut.cubes),
+            bodies: Some(cut.bodies),
             duration: cut.duration.map(|duration| duration.as_secs_f64()),
             volume_removed: Some(removed),
             removal_rate: rate,
-            total_removed: Some(self.volume(cut.total_removed)),
-            area: Some(float(cut.area) / self.steps_per_unit.powi(2)),
+            total_removed: Some(scale.volume(cut.total_removed)),
+            area: Some(float(cut.area) / scale.area),
             warning: None,
+            tool: cut
+                .tool
+                .map(|tool| (Some(tool.number), Some(scale.volume(tool.hit)))),
         };
         match &mut self.csv {
             Some(csv) => csv.serialize(row),
             None => Ok(()),
         }
-    }
-
-    fn volume(&self, steps3: i128) -> f64 {
-        float(steps3) / self.steps_per_unit.powi(3)
     }
 }
 
