@@ -44,6 +44,15 @@ const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(20);
 /// Calls of one connection at a time; a client that needs more opens another connection.
 const CONNECTION_CALLS_MAX: u32 = 256;
 
+/// Bytes of one call that may be on their way here before the call reads them: flow control holds back a client that sends more.
+const CALL_WINDOW_BYTES: u32 = 256 << 10;
+
+/// The same of all calls of a connection together. So large that it is the windows of the calls that hold a client back: the HTTP/2
+/// library takes each unread frame below 256 bytes for so many bytes out of half of this, and closes the connection of a client
+/// that uses it up. A change of one cube is a frame of some 25 bytes, so that a call whose window is full of them takes up to ten
+/// times its window. What a connection can make us keep is the windows of its calls, 64 MiB, whatever stands here.
+const CONNECTION_WINDOW_BYTES: u32 = 2 * 10 * CONNECTION_CALLS_MAX * CALL_WINDOW_BYTES;
+
 /// How often it is looked whether every scene is replayed.
 const READINESS_PAUSE: Duration = Duration::from_millis(50);
 
@@ -75,6 +84,8 @@ pub async fn serve(
         .http2_keepalive_interval(Some(KEEPALIVE_INTERVAL))
         .http2_keepalive_timeout(Some(KEEPALIVE_TIMEOUT))
         .max_concurrent_streams(CONNECTION_CALLS_MAX)
+        .initial_stream_window_size(CALL_WINDOW_BYTES)
+        .initial_connection_window_size(CONNECTION_WINDOW_BYTES)
         .layer(SetRequestIdLayer::x_request_id(MakeRequestUuid))
         .layer(TraceLayer::new_for_grpc().make_span_with(span))
         .layer(PropagateRequestIdLayer::x_request_id())
