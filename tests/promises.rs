@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use parking_lot::{Condvar, Mutex};
+use parking_lot::Mutex;
 use union3d::engine::{Engine, Op, Rejected};
 use union3d::geometry::{CUBES_MAX, CubeId, Edge, Place};
 use union3d::log::{Header, Keep, Record, SceneLog};
@@ -14,6 +14,11 @@ use union3d::service::{
     Chain, Counting, FailPoint, Motion, Operations, Scene, SceneName, SceneState, Seq, Service,
     ServiceConfig, ServiceError, Submission,
 };
+
+#[path = "oracle/stop.rs"]
+mod stop;
+
+use stop::Stop;
 
 fn edge() -> Edge {
     Edge::new(3).unwrap()
@@ -52,43 +57,6 @@ fn submission(ops: Vec<Op>) -> Submission {
         counting: Counting::Net,
         motion: Motion::default(),
         key: None,
-    }
-}
-
-/// A place at which the writers of scenes are held, and can be counted.
-#[derive(Default)]
-struct Stop {
-    state: Mutex<Held>,
-    changed: Condvar,
-}
-
-#[derive(Default)]
-struct Held {
-    /// How many are there now.
-    count: usize,
-    is_open: bool,
-}
-
-impl Stop {
-    /// Holds the caller until the stop is opened.
-    fn hold(&self) {
-        let mut held = self.state.lock();
-        held.count += 1;
-        self.changed.notify_all();
-        self.changed.wait_while(&mut held, |held| !held.is_open);
-        held.count -= 1;
-    }
-
-    /// Waits until so many are there.
-    fn wait_for(&self, count: usize) {
-        let mut held = self.state.lock();
-        self.changed
-            .wait_while(&mut held, |held| held.count < count);
-    }
-
-    fn open(&self) {
-        self.state.lock().is_open = true;
-        self.changed.notify_all();
     }
 }
 
@@ -141,21 +109,16 @@ async fn times_do_not_go_back_when_the_clock_does() {
 async fn a_queue_is_bounded_by_its_operations() {
     let directory = tempfile::tempdir().unwrap();
     let stop = Arc::new(Stop::default());
-    let at_stop = stop.clone();
     let service = Service::start_with_failpoints(
         ServiceConfig {
             queue_operations_max: 10,
             ..config(directory.path())
         },
-        Arc::new(move |point| {
-            if point == FailPoint::Append {
-                at_stop.hold();
-            }
-            None
-        }),
+        stop.hook(FailPoint::Append),
     )
     .unwrap();
     let scene = create(&service, "s").await;
+    stop.close();
     // Larger than the bound, alone; the writer takes it and is held.
     let first = submission(insertions(0..50));
     let first = scene.submit(first, None).await.unwrap();
@@ -255,6 +218,7 @@ async fn replays_at_a_time_are_bounded() {
     // The threads of the scenes that are being replayed: each has its scene's name. One too many is not held, but noted.
     let replayed: Arc<Mutex<Vec<String>>> = Arc::default();
     let stop = Arc::new(Stop::default());
+    stop.close();
     let (noted, at_stop) = (replayed.clone(), stop.clone());
     let service = Service::start_with_failpoints(
         ServiceConfig {
@@ -268,7 +232,7 @@ async fn replays_at_a_time_are_bounded() {
                 let fits = replayed.len() <= REPLAYS_MAX;
                 drop(replayed);
                 if fits {
-                    at_stop.hold();
+                    at_stop.pass();
                 }
             }
             None

@@ -8,7 +8,7 @@ use reqwest::{StatusCode, Url, header};
 use serde_json::{Value, json, value::RawValue};
 
 use union3d::geometry::Place;
-use union3d::wire::convert::StockDocument;
+use union3d::wire::convert::{SettingsDocument, StockDocument};
 use union3d::wire::proto::Change;
 
 /// How long a server that cannot be reached, or cannot answer yet, is asked again.
@@ -64,16 +64,13 @@ pub(crate) struct SceneWanted {
 
 impl SceneWanted {
     /// The settings to make it with.
-    fn settings(&self) -> Value {
-        let mut settings = json!({
-            "edge": self.edge,
-            "steps_per_unit": self.steps_per_unit,
-            "unit": self.unit,
-        });
-        if let Some(stock) = &self.stock {
-            settings["stock"] = json!(stock);
+    fn settings(&self) -> SettingsDocument {
+        SettingsDocument {
+            steps_per_unit: self.steps_per_unit.into(),
+            unit: self.unit.clone(),
+            stock: self.stock,
+            ..SettingsDocument::with_edge(self.edge)
         }
-        settings
     }
 }
 

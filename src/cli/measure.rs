@@ -339,37 +339,19 @@ fn find_columns(first: &csv::StringRecord) -> Result<(Columns, bool), String> {
     ))
 }
 
-fn read_ndjson(mut source: impl BufRead, cubes: &mut Batches<'_>) -> Result<(), Failure> {
-    let mut text = Vec::new();
-    for line in 1.. {
-        text.clear();
-        let size = source
-            .by_ref()
-            .take(LINE_BYTES_MAX)
-            .read_until(b'\n', &mut text)?;
-        if size == 0 {
-            break;
-        }
-        let json = text.trim_ascii();
-        if json.is_empty() {
-            continue;
-        }
+fn read_ndjson(source: impl BufRead, cubes: &mut Batches<'_>) -> Result<(), Failure> {
+    input::each_line(source, LINE_BYTES_MAX, |line, json| {
         let wrong = |problem: Problem| {
-            let (what, text) = (problem.detail(), excerpt(json));
+            let (what, text) = (problem.detail(), input::excerpt(json));
             format!("line {line}: {what} (a line is like {{\"id\":1,\"at\":[0,0,2.5]}}): {text}")
         };
         match decode::file_line(json).map_err(wrong)? {
             LineOperation::Insert(NewCube { id, at }) => {
-                cubes.insert_at(line, id.map(|id| id.id.0), at)?;
+                cubes.insert_at(line, id.map(|id| id.id.0), at)
             }
-            LineOperation::Delete(id) => cubes.push(line, Op::Delete(id.id))?,
+            LineOperation::Delete(id) => cubes.push(line, Op::Delete(id.id)),
         }
-    }
-    Ok(())
-}
-
-fn excerpt(text: &[u8]) -> String {
-    String::from_utf8_lossy(text).chars().take(80).collect()
+    })
 }
 
 fn read_i32(mut source: impl Read, cubes: &mut Batches<'_>) -> Result<(), Failure> {

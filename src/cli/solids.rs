@@ -24,9 +24,6 @@ const LINE_BYTES_MAX: u64 = 4 << 20;
 /// Largest STL file: a convex body of 4,096 vertices takes 410,000 bytes in binary and about 2,500,000 as a text.
 const STL_BYTES_MAX: u64 = 256 << 20;
 
-/// How much of a line is shown beside what is wrong with it.
-const EXCERPT_CHARACTERS: usize = 80;
-
 type Failure = Box<dyn std::error::Error>;
 
 /// What is asked for.
@@ -194,35 +191,12 @@ enum Change {
     Delete(u64),
 }
 
-fn read_ndjson(mut source: impl BufRead, scene: &mut Scene) -> Result<(), Failure> {
-    let mut text = Vec::new();
-    for line in 1.. {
-        text.clear();
-        let size = source
-            .by_ref()
-            .take(LINE_BYTES_MAX)
-            .read_until(b'\n', &mut text)?;
-        if size == 0 {
-            break;
-        }
-        if text.len() as u64 == LINE_BYTES_MAX {
-            return Err(format!("line {line}: it is longer than {LINE_BYTES_MAX} bytes").into());
-        }
-        let json = text.trim_ascii();
-        if json.is_empty() {
-            continue;
-        }
-        let op = read_line(json, scene).map_err(|failure| {
-            let text = String::from_utf8_lossy(json);
-            let shown: String = text.chars().take(EXCERPT_CHARACTERS).collect();
-            let more = if shown.len() < text.len() { " ..." } else { "" };
-            format!("line {line}: {failure}: {shown}{more}")
-        })?;
-        if let Some(op) = op {
-            scene.push(line, op)?;
-        }
-    }
-    Ok(())
+fn read_ndjson(source: impl BufRead, scene: &mut Scene) -> Result<(), Failure> {
+    input::each_line(source, LINE_BYTES_MAX, |line, json| {
+        let op = read_line(json, scene)
+            .map_err(|failure| format!("line {line}: {failure}: {}", input::excerpt(json)))?;
+        op.map_or(Ok(()), |op| scene.push(line, op))
+    })
 }
 
 /// Takes the shapes of a line, or says what its operation is.

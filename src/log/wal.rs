@@ -262,3 +262,55 @@ fn words<const N: usize>(bytes: &[u8]) -> [u32; N] {
     }
     words
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PAGE_SIZE: usize = 512;
+    const FRAME_SIZE: usize = FRAME_HEADER_SIZE + PAGE_SIZE;
+    /// Two frames that are one transaction, and one that is another.
+    const BIG_ENDIAN: &[u8] = include_bytes!("../../tests/fuzz/corpus/wal/big-endian");
+    /// One transaction of two frames, and behind it what an earlier, longer generation has left.
+    const SECOND_GENERATION: &[u8] =
+        include_bytes!("../../tests/fuzz/corpus/wal/second-generation");
+
+    fn inspect_flipped(file: &[u8], byte: usize) -> WriteAhead {
+        let mut file = file.to_vec();
+        file[byte] ^= 1;
+        inspect_bytes(&mut &*file, PAGE_SIZE).unwrap()
+    }
+
+    /// What a processor of the other byte order has written is read all the same, and its damage is found.
+    #[test]
+    fn the_order_of_bytes_is_the_one_that_the_header_says() {
+        let found = inspect_bytes(&mut &*BIG_ENDIAN, PAGE_SIZE).unwrap();
+        assert_eq!(found, WriteAhead::Whole);
+        let in_frame = |frame: usize| HEADER_SIZE + frame * FRAME_SIZE + FRAME_HEADER_SIZE;
+        let torn = WriteAhead::Torn {
+            frames: 1,
+            bytes: 536,
+        };
+        assert_eq!(inspect_flipped(BIG_ENDIAN, in_frame(2)), torn);
+        let WriteAhead::Broken { frame, .. } = inspect_flipped(BIG_ENDIAN, in_frame(0)) else {
+            panic!("damage before the end");
+        };
+        assert_eq!(frame, Some(0));
+        let WriteAhead::Broken { frame, .. } = inspect_flipped(BIG_ENDIAN, 3) else {
+            panic!("damage in the header");
+        };
+        assert_eq!(frame, None);
+    }
+
+    /// Whole frames of an earlier generation, and one of them that is cut off, are no torn end.
+    #[test]
+    fn what_an_earlier_generation_left_does_not_count() {
+        for size in [
+            SECOND_GENERATION.len(),
+            SECOND_GENERATION.len() - FRAME_SIZE - 100,
+        ] {
+            let found = inspect_bytes(&mut &SECOND_GENERATION[..size], PAGE_SIZE).unwrap();
+            assert_eq!(found, WriteAhead::Whole, "{size} bytes");
+        }
+    }
+}

@@ -69,7 +69,7 @@ pub trait SceneKind: Kind {
     fn apply_in_steps(set: &BodySet<Self>, effect: &Effect<Self::Body>) -> bool;
 
     /// Notes where a body is that a change deletes.
-    fn note_near(near: &mut Self::Near, engine: &Self::Engine, id: CubeId, body: &Self::Body);
+    fn note_near(near: &mut Self::Near, id: CubeId, body: &Self::Body);
 
     /// Forgets what was noted.
     fn clear_near(near: &mut Self::Near);
@@ -142,8 +142,8 @@ impl SceneKind for Cubes {
         Engine::apply_through(set, effect).is_ok()
     }
 
-    fn note_near(near: &mut Places, engine: &Engine, id: CubeId, place: &Place) {
-        near.insert(id, *place, engine.edge());
+    fn note_near(near: &mut Places, id: CubeId, place: &Place) {
+        near.insert(id, *place);
     }
 
     fn clear_near(near: &mut Places) {

@@ -1,27 +1,31 @@
 //! Cubes by where they are: those of a few changes, for the question which of them hold a point.
 //!
 //! ```text
-//!   newest in a cell ──> cube ──> cube before it in the same chain ──> ...
+//!   cubes    all, in the order in which they came: all that the writer does
+//!   newest in a cell ──> cube ──> cube before it in the same cell ──> ...   made when somebody asks, of those that came since
 //! ```
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::BTreeSet;
+
+use parking_lot::Mutex;
+use rustc_hash::FxHashMap;
 
 use crate::geometry::{CubeId, Edge, Place};
 
 /// Cubes in cells. A cell is an edge and a step wide, so the cubes that hold a point have their lower corners in two cells an axis.
 #[derive(Debug, Default)]
 pub struct Places {
-    /// Number of the newest cube in a cell.
-    newest: HashMap<Cell, usize>,
-    cubes: Vec<Placed>,
+    cubes: Vec<(CubeId, Place)>,
+    cells: Mutex<Cells>,
 }
 
-#[derive(Debug)]
-struct Placed {
-    id: CubeId,
-    place: Place,
-    /// Number of the one before in the same cell.
-    before: Option<usize>,
+/// Which of the cubes are in a cell, as far as they are looked at. Few ask, so the writer is spared it.
+#[derive(Debug, Default)]
+struct Cells {
+    /// Number of the newest cube in a cell.
+    newest: FxHashMap<Cell, usize>,
+    /// Of every cube that was looked at, the number of the one before it in the same cell.
+    before: Vec<Option<usize>>,
 }
 
 type Cell = [i32; 3];
@@ -32,42 +36,48 @@ impl Places {
         if self.cubes.len() * 4 < self.cubes.capacity() {
             *self = Self::default();
         } else {
-            self.newest.clear();
             self.cubes.clear();
+            let cells = self.cells.get_mut();
+            cells.newest.clear();
+            cells.before.clear();
         }
     }
 
-    pub(super) fn insert(&mut self, id: CubeId, place: Place, edge: Edge) {
-        let before = self
-            .newest
-            .insert(cell(place.corner(), edge), self.cubes.len());
-        self.cubes.push(Placed { id, place, before });
+    pub(super) fn insert(&mut self, id: CubeId, place: Place) {
+        self.cubes.push((id, place));
     }
 
-    /// The cubes that hold a point (closed cubes). O(cubes around the point).
-    pub(super) fn holding(
-        &self,
-        point: [i32; 3],
-        edge: Edge,
-    ) -> impl Iterator<Item = (CubeId, Place)> + '_ {
+    /// The cubes that hold a point (closed cubes). O(cubes around the point, and cubes that came since somebody asked).
+    pub(super) fn holding(&self, point: [i32; 3], edge: Edge) -> Vec<(CubeId, Place)> {
+        let mut cells = self.cells.lock();
+        cells.follow(&self.cubes, edge);
         let low = cell(point.map(|part| part.saturating_sub(edge.steps())), edge);
         let high = cell(point, edge);
         // Where both ends of an axis lie in one cell, each cell once.
-        let cells: BTreeSet<Cell> = (0..8_u8)
+        let around: BTreeSet<Cell> = (0..8_u8)
             .map(|corner| {
                 let end = |axis: usize| if corner >> axis & 1 == 0 { low } else { high }[axis];
                 [end(0), end(1), end(2)]
             })
             .collect();
-        let newest = cells.into_iter().filter_map(|one| self.newest.get(&one));
-        let in_cells = newest.flat_map(|newest| {
-            std::iter::successors(Some(&self.cubes[*newest]), |placed| {
-                placed.before.map(|before| &self.cubes[before])
-            })
+        let newest = around.iter().filter_map(|one| cells.newest.get(one));
+        let numbers = newest.flat_map(|&newest| {
+            std::iter::successors(Some(newest), |&number| cells.before[number])
         });
-        in_cells
-            .filter(move |placed| holds(placed.place, point, edge))
-            .map(|placed| (placed.id, placed.place))
+        numbers
+            .map(|number| self.cubes[number])
+            .filter(|(_, place)| holds(*place, point, edge))
+            .collect()
+    }
+}
+
+impl Cells {
+    /// Looks at the cubes that came since the last time.
+    fn follow(&mut self, cubes: &[(CubeId, Place)], edge: Edge) {
+        for (number, (_, place)) in cubes.iter().enumerate().skip(self.before.len()) {
+            let before = self.newest.insert(cell(place.corner(), edge), number);
+            self.before.push(before);
+        }
     }
 }
 

@@ -26,6 +26,9 @@ pub struct BodySet<K: SceneKind> {
     /// Empty, with the room that the last changes took: used in turn with the one in the state, so that a busy scene does not ask for
     /// memory again and again.
     spare: Mutex<Ahead<K>>,
+    /// How many steps the writer has taken.
+    #[cfg(test)]
+    steps: std::sync::atomic::AtomicUsize,
 }
 
 struct State<K: SceneKind> {
@@ -73,6 +76,8 @@ impl<K: SceneKind> BodySet<K> {
                 is_whole: true,
             }),
             spare: Mutex::default(),
+            #[cfg(test)]
+            steps: std::sync::atomic::AtomicUsize::new(0),
         }
     }
 
@@ -158,6 +163,9 @@ impl<K: SceneKind> BodySet<K> {
     }
 
     fn write<T>(&self, write: impl FnOnce(&mut State<K>) -> T) -> T {
+        #[cfg(test)]
+        self.steps
+            .fetch_add(1, std::sync::atomic::Ordering::Relaxed);
         let mut state = self.state.write();
         let result = write(&mut state);
         // To those who wait, before the next step.
@@ -181,7 +189,7 @@ impl<K: SceneKind> State<K> {
         let Ahead { before, near } = &mut self.ahead;
         for (id, body) in deleted {
             if before.note_deleted(*id, body.clone()) {
-                K::note_near(near, &self.engine, *id, body);
+                K::note_near(near, *id, body);
             }
         }
         for (id, body) in inserted {
@@ -265,6 +273,7 @@ impl View<'_, Cubes> {
 #[cfg(test)]
 mod tests {
     use std::collections::BTreeMap;
+    use std::sync::atomic::Ordering;
 
     use super::*;
     use crate::engine::Op;
@@ -353,6 +362,38 @@ mod tests {
         assert!(set.try_view().is_some());
         set.advance(&state(1), || assert!(set.try_view().is_none()));
         assert_eq!(set.view().unwrap().published(), state(1));
+    }
+
+    /// The lock is taken once for a change that is applied at once, and many times for a large one: readers come in between.
+    #[test]
+    fn a_small_change_is_one_step() {
+        let edge = Edge::new(EDGE.into()).unwrap();
+        let empty = Published {
+            seq: Seq(0),
+            at_ms: 0,
+            totals: Totals::default(),
+        };
+        let set = BodySet::<Cubes>::new(Engine::new(edge), &empty);
+        let mut random = Random::new(3);
+        let mut steps_of = |ids: std::ops::Range<u64>| {
+            let inserted: Vec<_> = ids
+                .map(|id| (CubeId(id), place(&mut random, edge)))
+                .collect();
+            let effect = Effect {
+                deleted: vec![],
+                inserted,
+            };
+            let before = set.steps.load(Ordering::Relaxed);
+            set.apply(&effect);
+            (
+                Engine::applies_at_once(&effect),
+                set.steps.load(Ordering::Relaxed) - before,
+            )
+        };
+        assert_eq!(steps_of(0..1), (true, 1));
+        assert_eq!(steps_of(1..30), (true, 1));
+        let (at_once, steps) = steps_of(100..5_100);
+        assert!(!at_once && steps > 5_000 / NOTED_A_STEP, "{steps} steps");
     }
 
     /// Changes of all sizes, one or two of them on their way at a time, cubes that move and come again among them.

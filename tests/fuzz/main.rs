@@ -10,7 +10,7 @@ mod random;
 mod targets;
 
 use random::Random;
-use targets::{TARGETS, Target};
+use targets::{Target, target};
 
 const MUTATIONS_PER_TARGET: u64 = 4_000;
 const INPUT_BYTES_MAX: usize = 20_000;
@@ -70,7 +70,7 @@ fn run(name: &str, target: Target, bytes: &[u8], origin: &str) {
 }
 
 fn smoke(name: &str) {
-    let (_, target) = TARGETS.into_iter().find(|(own, _)| *own == name).unwrap();
+    let target = target(name);
     let corpus = corpus(name);
     for (path, bytes) in &corpus {
         run(name, target, bytes, &path.display().to_string());

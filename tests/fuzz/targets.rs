@@ -3,7 +3,7 @@
 use std::sync::LazyLock;
 
 use union3d::log::fuzzing;
-use union3d::toolpath::{Interpreter, Options};
+use union3d::toolpath::{Dialect, Interpreter, Options};
 use union3d::wire::convert::Settings;
 use union3d::wire::decode;
 use union3d::wire::problem::{Code, Problem};
@@ -12,14 +12,28 @@ use union3d::wire::problem::{Code, Problem};
 pub(crate) type Target = fn(&[u8]);
 
 /// All of them, by name: that of their corpus too.
-pub(crate) const TARGETS: [(&str, Target); 4] = [
+const TARGETS: [(&str, Target); 4] = [
     ("decode", decode_body),
     ("codec", fuzzing::codec),
     ("wal", fuzzing::wal),
     ("moves", moves),
 ];
 
+/// The one of this name.
+/// # Panics
+/// When there is none.
+pub(crate) fn target(name: &str) -> Target {
+    let (_, target) = TARGETS
+        .into_iter()
+        .find(|(own, _)| *own == name)
+        .expect("the name of a target");
+    target
+}
+
 const CUBES_MAX: usize = 50;
+
+/// Loops that move are not endless by themselves, so somebody else must end them.
+const EVENTS_MAX: usize = 20_000;
 
 static SETTINGS: LazyLock<Settings> = LazyLock::new(|| {
     let body = br#"{"edge":3,"steps_per_unit":10,"rounding":"nearest","anchor":"center"}"#;
@@ -58,14 +72,27 @@ fn refused_well<T>(read: Result<T, Problem>) {
     }
 }
 
-/// A program is run to its end or to its fault, and nothing comes after that.
+/// A program is run to its end or to its fault, and nothing comes after that. A first line `#NAME` says for which controller it is
+/// written.
 fn moves(bytes: &[u8]) {
-    let mut moves = Interpreter::new(bytes, Options::default());
+    let named = Dialect::ALL.into_iter().find_map(|dialect| {
+        let rest = bytes.strip_prefix(b"#")?;
+        let rest = rest.strip_prefix(dialect.name().as_bytes())?;
+        Some((dialect, rest.strip_prefix(b"\n")?))
+    });
+    let bytes = named.map_or(bytes, |(_, rest)| rest);
+    let options = Options {
+        dialect: named.map(|(dialect, _)| dialect),
+        ..Options::default()
+    };
+    let mut moves = Interpreter::new(bytes, options);
     let mut has_failed = false;
-    for event in moves.by_ref() {
+    let mut events = 0;
+    for event in moves.by_ref().take(EVENTS_MAX) {
         assert!(!has_failed, "something comes after an error");
         has_failed = event.is_err();
+        events += 1;
     }
-    assert!(moves.next().is_none());
+    assert!(events == EVENTS_MAX || moves.next().is_none());
     assert!(moves.bytes() <= bytes.len() as u64);
 }

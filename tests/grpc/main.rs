@@ -4,4 +4,6 @@ mod calls;
 mod operation;
 mod refusals;
 mod server;
+#[path = "../oracle/stop.rs"]
+mod stop;
 mod streams;

@@ -1,8 +1,6 @@
 //! Health, reflection, metrics and the end.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
 
 use tokio_stream::StreamExt;
 use tonic::Code;
@@ -18,6 +16,7 @@ use union3d::wire::http::Limits;
 use union3d::wire::proto::WatchMassPropertiesRequest;
 
 use crate::server::{PATIENCE, Server, channel, refused, row};
+use crate::stop::Stop;
 
 #[tokio::test]
 async fn it_serves_only_when_every_scene_is_replayed() {
@@ -26,20 +25,14 @@ async fn it_serves_only_when_every_scene_is_replayed() {
     server.change("part", row(1..10)).await.unwrap();
     let data = server.stop().await;
 
-    let hold = Arc::new(AtomicBool::new(true));
-    let held = Arc::clone(&hold);
-    let faults = move |step| {
-        while step == FailPoint::Open && held.load(Ordering::Acquire) {
-            std::thread::sleep(Duration::from_millis(1));
-        }
-        None
-    };
+    let stop = Arc::new(Stop::default());
+    stop.close();
     let config = ServiceConfig::new(data.path());
     let server = Server::on(
         data,
         Limits::default(),
         config,
-        Some(Arc::new(faults)),
+        Some(stop.hook(FailPoint::Open)),
         false,
     )
     .await;
@@ -57,7 +50,7 @@ async fn it_serves_only_when_every_scene_is_replayed() {
         service: String::new(),
     };
     let mut watch = health.watch(request).await.unwrap().into_inner();
-    hold.store(false, Ordering::Release);
+    stop.open();
     let shown = async {
         while watch.next().await.unwrap().unwrap().status() != ServingStatus::Serving {}
         assert_eq!(server.totals("part").await.cubes, 9);

@@ -19,6 +19,7 @@ use union3d::wire::proto::{
 use crate::server::{
     Client, NONE, PATIENCE, Server, VOLUME, deletion, eventually, refused, row, slow_client,
 };
+use crate::stop::Stop;
 
 fn opening(scene: &str, on_refusal: OnRefusal, detail: i32) -> StreamChangesRequest {
     message(request::Message::Opening(StreamOpening {
@@ -102,26 +103,20 @@ async fn changes_are_acknowledged_in_order_with_their_totals() {
     assert_eq!(server.totals("part").await.seq, 1_001);
 }
 
-/// A hook that keeps the scene's writer from the disk while the flag is up.
-fn held(hold: &Arc<AtomicBool>) -> union3d::service::FailHook {
-    let hold = Arc::clone(hold);
-    Arc::new(move |step| {
-        while step == FailPoint::Append && hold.load(Ordering::Acquire) {
-            std::thread::sleep(Duration::from_millis(1));
-        }
-        None
-    })
-}
-
 /// A frame of its own for each small change, as most clients send them, while the disk stands still: an HTTP/2 library that counts
 /// unread small frames as an attack ended such a connection after some 2,300 of them, with nothing acknowledged.
 #[tokio::test]
 async fn small_changes_wait_for_a_slow_disk_however_many_they_are() {
     const CHANGES: u64 = 6_000;
-    let hold = Arc::new(AtomicBool::new(false));
-    let server = Server::with(Limits::default(), |config| config, Some(held(&hold))).await;
+    let stop = Arc::new(Stop::default());
+    let server = Server::with(
+        Limits::default(),
+        |config| config,
+        Some(stop.hook(FailPoint::Append)),
+    )
+    .await;
     server.scene("part", 6).await;
-    hold.store(true, Ordering::Release);
+    stop.close();
     let sent = Arc::new(AtomicU64::new(0));
     let count = Arc::clone(&sent);
     let messages = async_stream::stream! {
@@ -139,7 +134,7 @@ async fn small_changes_wait_for_a_slow_disk_however_many_they_are() {
         sent.load(Ordering::Acquire) == CHANGES
     })
     .await;
-    hold.store(false, Ordering::Release);
+    stop.open();
     for tag in 1..=CHANGES {
         assert_eq!(acknowledged(&mut answers).await.tag, tag);
     }
@@ -149,8 +144,13 @@ async fn small_changes_wait_for_a_slow_disk_however_many_they_are() {
 /// What is in flight behind a refused change is not applied, however far ahead it was sent.
 #[tokio::test]
 async fn nothing_after_a_refused_change_is_applied() {
-    let hold = Arc::new(AtomicBool::new(false));
-    let server = Server::with(Limits::default(), |config| config, Some(held(&hold))).await;
+    let stop = Arc::new(Stop::default());
+    let server = Server::with(
+        Limits::default(),
+        |config| config,
+        Some(stop.hook(FailPoint::Append)),
+    )
+    .await;
     // A conflict is found by the scene, a far corner before; both while changes before and after are in flight.
     for (name, bad) in [("conflict", 9_999), ("far", i32::MAX)] {
         server.scene(name, 6).await;
@@ -165,11 +165,11 @@ async fn nothing_after_a_refused_change_is_applied() {
             .chain(before)
             .chain([tagged(21, wrong)])
             .chain(after);
-        hold.store(true, Ordering::Release);
+        stop.close();
         let messages = tokio_stream::iter(messages.collect::<Vec<_>>());
         let mut answers = stream(&mut server.client(), messages).await;
         opened(&mut answers).await;
-        hold.store(false, Ordering::Release);
+        stop.open();
         for tag in 1..=20 {
             assert_eq!(acknowledged(&mut answers).await.tag, tag);
         }
@@ -278,21 +278,19 @@ fn endless(
 /// What a connection holds by itself (flow control windows and buffers of both sides), in changes of ten kilobytes.
 const ON_THE_WAY: u64 = 700;
 
-/// Waits until a count stands still, and answers it.
-async fn settled(count: &AtomicU64) -> u64 {
-    let mut last = (count.load(Ordering::Acquire), 0);
-    eventually("the sender is slowed down", async || {
-        tokio::time::sleep(Duration::from_millis(20)).await;
-        let now = count.load(Ordering::Acquire);
-        last = if now == last.0 {
-            (now, last.1 + 1)
-        } else {
-            (now, 0)
-        };
-        last.1 >= 25
-    })
-    .await;
-    last.0
+/// How many changes are sent until no more are, however often the server answers others meanwhile. Looks no further than this many.
+async fn stalled(server: &Server, count: &AtomicU64, most: u64) -> u64 {
+    loop {
+        let before = count.load(Ordering::Acquire);
+        for _ in 0..100 {
+            // Over HTTP: a connection whose window the changes have filled takes no call.
+            assert_eq!(server.get("/v1/scenes/part").await.0, 200);
+        }
+        let sent = count.load(Ordering::Acquire);
+        if sent == before || sent >= most {
+            return sent;
+        }
+    }
 }
 
 #[tokio::test]
@@ -304,25 +302,17 @@ async fn a_fast_sender_is_slowed_down_and_not_refused() {
 }
 
 async fn slowed_down(queue_changes_max: usize) {
-    let (hold, is_held) = (
-        Arc::new(AtomicBool::new(false)),
-        Arc::new(AtomicBool::new(false)),
-    );
-    let faults = {
-        let (hold, is_held) = (hold.clone(), is_held.clone());
-        move |step| {
-            while step == FailPoint::Append && hold.load(Ordering::Acquire) {
-                is_held.store(true, Ordering::Release);
-                std::thread::sleep(Duration::from_millis(1));
-            }
-            None
-        }
-    };
+    let stop = Arc::new(Stop::default());
     let config = move |mut config: union3d::service::ServiceConfig| {
         config.queue_changes_max = queue_changes_max;
         config
     };
-    let server = Server::with(Limits::default(), config, Some(Arc::new(faults))).await;
+    let server = Server::with(
+        Limits::default(),
+        config,
+        Some(stop.hook(FailPoint::Append)),
+    )
+    .await;
     server.scene("part", 6).await;
     let count = Arc::new(AtomicU64::new(0));
     let (go, gate) = tokio::sync::oneshot::channel::<()>();
@@ -338,7 +328,7 @@ async fn slowed_down(queue_changes_max: usize) {
     let mut answers = stream(&mut server.client(), messages).await;
     let window = u64::from(opened(&mut answers).await.window_changes_max);
     // One that does change something holds the writer at the disk.
-    hold.store(true, Ordering::Release);
+    stop.close();
     let change = tokio::spawn({
         let mut client = server.client();
         let request = union3d::wire::proto::ApplyChangeRequest {
@@ -348,14 +338,11 @@ async fn slowed_down(queue_changes_max: usize) {
         };
         async move { client.apply_change(request).await.unwrap() }
     });
-    eventually("the writer is held", async || {
-        is_held.load(Ordering::Acquire)
-    })
-    .await;
+    eventually("the writer is held", async || stop.held() == 1).await;
     go.send(()).unwrap();
-    let sent = settled(&count).await;
+    let sent = stalled(&server, &count, window + ON_THE_WAY).await;
     assert!(sent < window + ON_THE_WAY, "{sent} changes were taken in");
-    hold.store(false, Ordering::Release);
+    stop.open();
     for tag in 0..3_000 {
         assert_eq!(acknowledged(&mut answers).await.tag, tag);
         let ahead = count.load(Ordering::Acquire) - tag;
@@ -372,7 +359,7 @@ async fn who_does_not_read_acknowledgements_is_not_read_either() {
     let mut client = slow_client(&server.grpc).await;
     let mut answers = stream(&mut client, endless("part", &count)).await;
     let window = u64::from(opened(&mut answers).await.window_changes_max);
-    let sent = settled(&count).await;
+    let sent = stalled(&server, &count, window + ON_THE_WAY).await;
     assert!(sent < window + ON_THE_WAY, "{sent} changes were taken in");
     for tag in 0..2 * sent {
         assert_eq!(acknowledged(&mut answers).await.tag, tag);
@@ -415,8 +402,13 @@ async fn a_slow_watcher_skips_to_the_newest() {
 
 #[tokio::test]
 async fn draining_acknowledges_what_is_in_flight() {
-    let hold = Arc::new(AtomicBool::new(false));
-    let server = Server::with(Limits::default(), |config| config, Some(held(&hold))).await;
+    let stop = Arc::new(Stop::default());
+    let server = Server::with(
+        Limits::default(),
+        |config| config,
+        Some(stop.hook(FailPoint::Append)),
+    )
+    .await;
     server.scene("part", 6).await;
     let (send, receive) = mpsc::channel(16);
     let messages = tokio_stream::wrappers::ReceiverStream::new(receive);

@@ -13,4 +13,6 @@ mod revert;
 mod scenes;
 mod server;
 mod simulation;
+#[path = "../oracle/stop.rs"]
+mod stop;
 mod streams;

@@ -9,6 +9,7 @@ use tokio::time::timeout;
 use union3d::wire::http::Limits;
 use union3d::wire::proto;
 
+use crate::random::Random;
 use crate::server::{JSON, NDJSON, PATIENCE, PROTOBUF, Server, eventually, send};
 
 /// Inserts a cube at `x` = `id`.
@@ -111,15 +112,9 @@ async fn what_is_no_longer_kept_is_gone() {
     let changes = format!("{scene}/changes?return=minimal");
     // Old totals go when a snapshot makes their operations superfluous, which takes a long log: ids that do not compress.
     const CUBES: i32 = 50_000;
-    let mut state = 1_u64;
+    let mut random = Random::new(1);
     for round in 0.. {
-        let mut random = || {
-            state ^= state << 13;
-            state ^= state >> 7;
-            state ^= state << 17;
-            state
-        };
-        let ids: Vec<_> = (0..CUBES).map(|_| random()).collect();
+        let ids: Vec<_> = (0..CUBES).map(|_| random.next()).collect();
         let come = proto::Change {
             insert_id: ids.clone(),
             x: (0..CUBES).map(|id| 3 * id).collect(),
@@ -374,6 +369,7 @@ async fn wrong_parameters_are_named() {
         ("mass-properties?wiat=1&ta=2", vec!["wiat", "ta"]),
         ("mass-properties/stream?x", vec!["x"]),
         ("history?from=18446744073709551616", vec!["from"]),
+        ("history?to=18446744073709551616", vec!["to"]),
         ("history?limit=0", vec!["limit"]),
         ("history?limit=-1", vec!["limit"]),
         ("cubes?limit=100001", vec!["limit"]),

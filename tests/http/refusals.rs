@@ -13,6 +13,7 @@ use union3d::service::FailPoint;
 use union3d::wire::http::Limits;
 
 use crate::server::{JSON, NDJSON, PATIENCE, Server, eventually, send};
+use crate::stop::Stop;
 
 #[tokio::test]
 async fn what_the_router_refuses_is_a_problem() {
@@ -218,25 +219,18 @@ async fn a_body_that_does_not_arrive_is_given_up() {
 
 #[tokio::test]
 async fn a_slow_disk_is_a_timeout_and_the_change_still_counts() {
-    let hold = Arc::new(AtomicBool::new(false));
-    let held = Arc::clone(&hold);
-    let faults = move |step| {
-        while step == FailPoint::Append && held.load(Ordering::Acquire) {
-            std::thread::sleep(Duration::from_millis(1));
-        }
-        None
-    };
+    let stop = Arc::new(Stop::default());
     let limits = Limits {
         request_timeout: Duration::from_millis(300),
         ..Limits::default()
     };
-    let server = Server::with(limits, |config| config, Some(Arc::new(faults))).await;
+    let server = Server::with(limits, |config| config, Some(stop.hook(FailPoint::Append))).await;
     let scene = server.scene("s", 2).await;
-    hold.store(true, Ordering::Release);
+    stop.close();
     let body = r#"{"insert":[{"id":1,"at":[0,0,0]}]}"#;
     let slow = server.change(&scene, body).await;
     slow.problem(503, "answer-timeout");
-    hold.store(false, Ordering::Release);
+    stop.open();
     eventually("the change is there", || async {
         server.totals(&scene).await["cubes"] == 1
     })

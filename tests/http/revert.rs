@@ -121,6 +121,8 @@ async fn what_cannot_be_gone_back_to_is_a_problem() {
         ("{}", "/to"),
         (r#"{"to": -1}"#, "/to"),
         (r#"{"to": "x"}"#, "/to"),
+        // 2^64: a seq is less.
+        (r#"{"to": 18446744073709551616}"#, "/to"),
         (r#"{"to": 0, "from": 3}"#, "/from"),
     ] {
         assert_eq!(revert(body).await.places(), [place], "{body}");

@@ -2,7 +2,6 @@
 
 use std::fmt::Write;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use futures_util::future::{Either, join, join3, select};
@@ -13,6 +12,7 @@ use union3d::service::FailPoint;
 use union3d::wire::http::Limits;
 
 use crate::server::{NDJSON, Server, eventually, send};
+use crate::stop::Stop;
 
 fn insert(id: u64, x: i64) -> String {
     format!("{{\"insert\":{{\"id\":{id},\"at\":[{x},0,0]}}}}\n")
@@ -187,36 +187,24 @@ async fn a_paused_stream_is_visible_and_then_given_up() {
 /// A queue that is full makes a stream wait, where a single change is refused.
 #[tokio::test]
 async fn a_full_queue_delays_a_stream_and_refuses_a_change() {
-    let hold = Arc::new(AtomicBool::new(false));
-    let entered = Arc::new(AtomicBool::new(false));
-    let (held, enters) = (Arc::clone(&hold), Arc::clone(&entered));
-    let faults = move |step| {
-        while step == FailPoint::Append && held.load(Ordering::Acquire) {
-            enters.store(true, Ordering::Release);
-            std::thread::sleep(Duration::from_millis(1));
-        }
-        None
-    };
+    let stop = Arc::new(Stop::default());
     let server = Server::with(
         Limits::default(),
         |mut config| {
             config.queue_changes_max = 1;
             config
         },
-        Some(Arc::new(faults)),
+        Some(stop.hook(FailPoint::Append)),
     )
     .await;
     let scene = &server.scene("s", 1).await;
-    hold.store(true, Ordering::Release);
+    stop.close();
     let post = async |id: u64| {
         let body = json!({"insert": [{"id": id, "at": [id, 0, 0]}]}).to_string();
         server.change(scene, &body).await
     };
     let rest = async {
-        eventually("the writer is held", || async {
-            entered.load(Ordering::Acquire)
-        })
-        .await;
+        eventually("the writer is held", || async { stop.held() == 1 }).await;
         // Of two more changes one fills the queue, and the other is refused at once.
         let (refused, filling) = match select(Box::pin(post(2)), Box::pin(post(3))).await {
             Either::Left((first, other)) | Either::Right((first, other)) => (first, other),
@@ -224,8 +212,11 @@ async fn a_full_queue_delays_a_stream_and_refuses_a_change() {
         refused.problem(429, "queue-full");
         assert_eq!(refused.header("retry-after"), "1");
         let release = async {
-            tokio::time::sleep(Duration::from_millis(50)).await;
-            hold.store(false, Ordering::Release);
+            // The stream comes meanwhile, and waits; whoever else comes is refused as before.
+            for id in 20..60 {
+                post(id).await.problem(429, "queue-full");
+            }
+            stop.open();
         };
         let lines = [insert(10, 10), insert(11, 11)].concat();
         let (filled, streamed, ()) = join3(filling, server.lines(scene, &lines), release).await;

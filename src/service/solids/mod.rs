@@ -156,7 +156,7 @@ impl SceneKind for Solids {
         steps.all(|step| set.step_of(|engine| engine.apply(&step).is_ok()))
     }
 
-    fn note_near((): &mut (), _: &Engine, _: CubeId, _: &Body) {}
+    fn note_near((): &mut (), _: CubeId, _: &Body) {}
 
     fn clear_near((): &mut ()) {}
 

@@ -3,6 +3,7 @@
 use super::*;
 use crate::engine::Op;
 use crate::geometry::CubeId;
+use crate::random::Random;
 use crate::wire::convert::Rounding;
 use crate::wire::proto;
 use axum::response::IntoResponse;
@@ -314,13 +315,8 @@ fn both_readers_accept_the_same_changes() {
     let settings = settings(Rounding::Reject);
     let good =
         br#"{"delete":[1,23],"insert":[{"id":4,"at":[0,-1.5,2e1]},{"at":[7.25,0.001,6],"id":5}]}"#;
-    let mut state = 0x9e37_79b9_7f4a_7c15_u64;
-    let mut random = |below: usize| {
-        state ^= state << 13;
-        state ^= state >> 7;
-        state ^= state << 17;
-        usize::try_from(state % u64::try_from(below).unwrap()).unwrap()
-    };
+    let mut random = Random::new(1);
+    let mut random = |bound: usize| random.below(bound);
     let bytes = b"0123456789-+.eE,:[]{}\"\\ nullinsertdeleteidat\xff";
     let mut accepted = 0;
     for round in 0..100_000 {

@@ -8,7 +8,9 @@ use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::request::{self, BodyType, Parameters, Path, Return, body_type, idempotency_key};
+use super::request::{
+    self, ABOUT_ID, ABOUT_IDS, BodyType, Parameters, Path, Return, body_type, idempotency_key,
+};
 use super::{App, ndjson, scenes};
 use crate::engine::Op;
 use crate::geometry::CubeId;
@@ -144,7 +146,7 @@ fn applied_answer(
     params(
         ("scene" = String, Path, description = "Name of the scene", example = "pocket"),
         ("return" = inline(Option<Return>), Query, description = "`minimal` leaves `mass_properties` out", example = "minimal"),
-        ("ids" = inline(Option<IdForm>), Query, description = "`text`: ids are answered as decimal strings, which JavaScript keeps exact above 2^53", example = "text"),
+        ("ids" = inline(Option<IdForm>), Query, description = ABOUT_IDS, example = "text"),
         ("Idempotency-Key" = Option<String>, Header, description = "1 to 64 visible ASCII characters. The answer to the first change with this key is repeated, with `Idempotency-Replayed: true`. Not for streams"),
     ),
     request_body(content(
@@ -211,7 +213,7 @@ pub(super) async fn post_changes(
     params(
         ("scene" = String, Path, description = "Name of the scene", example = "pocket"),
         ("return" = inline(Option<Return>), Query, description = "`minimal` leaves `mass_properties` out", example = "minimal"),
-        ("ids" = inline(Option<IdForm>), Query, description = "`text`: ids are answered as decimal strings, which JavaScript keeps exact above 2^53", example = "text"),
+        ("ids" = inline(Option<IdForm>), Query, description = ABOUT_IDS, example = "text"),
         ("Idempotency-Key" = Option<String>, Header, description = "As of a change"),
     ),
     request_body(content((Revert = "application/json", example = json!({"to": 3})))),
@@ -242,9 +244,9 @@ pub(super) async fn post_revert(
     delete, path = "/v1/scenes/{scene}/cubes/{id}", tag = "changes",
     params(
         ("scene" = String, Path, description = "Name of the scene", example = "pocket"),
-        ("id" = u64, Path, description = "The cube's id", example = 17),
+        ("id" = u64, Path, description = ABOUT_ID, example = 17),
         ("return" = inline(Option<Return>), Query, description = "`minimal` leaves `mass_properties` out", example = "minimal"),
-        ("ids" = inline(Option<IdForm>), Query, description = "`text`: ids are answered as decimal strings, which JavaScript keeps exact above 2^53", example = "text"),
+        ("ids" = inline(Option<IdForm>), Query, description = ABOUT_IDS, example = "text"),
     ),
     responses((status = 200, description = "Durable", body = ChangeAnswer))
 )]

@@ -13,7 +13,9 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::reads::entity_tag;
-use super::request::{BodyType, Known, Parameters, Path, VARY, preferred, whole};
+use super::request::{
+    ABOUT_ID, ABOUT_IDS, BodyType, Known, Parameters, Path, VARY, preferred, whole,
+};
 use super::{App, scenes};
 use crate::engine::{Cursor, Side};
 use crate::geometry::CubeId;
@@ -35,8 +37,8 @@ const LISTED_CUBES: usize = 1_024;
     get, path = "/v1/scenes/{scene}/cubes/{id}", tag = "cubes",
     params(
         ("scene" = String, Path, description = "Name of the scene", example = "pocket"),
-        ("id" = u64, Path, description = "The cube's id", example = 18),
-        ("ids" = inline(Option<IdForm>), Query, description = "`text`: ids are answered as decimal strings, which JavaScript keeps exact above 2^53", example = "text"),
+        ("id" = u64, Path, description = ABOUT_ID, example = 18),
+        ("ids" = inline(Option<IdForm>), Query, description = ABOUT_IDS, example = "text"),
     ),
     responses((status = 200, description = "The cube", body = Cube))
 )]
@@ -71,7 +73,7 @@ pub(crate) struct CubePage {
     params(
         ("scene" = String, Path, description = "Name of the scene", example = "pocket"),
         ("after" = Option<String>, Query, description = "`next` of the page before"),
-        ("ids" = inline(Option<IdForm>), Query, description = "`text`: ids are answered as decimal strings, which JavaScript keeps exact above 2^53", example = "text"),
+        ("ids" = inline(Option<IdForm>), Query, description = ABOUT_IDS, example = "text"),
         ("limit" = Option<usize>, Query, minimum = 1, maximum = 100_000, description = "Most cubes in the answer, 1 to 100,000; 1,000 if left out"),
     ),
     responses((status = 200, description = "Cubes", content(
@@ -177,7 +179,7 @@ enum SideName {
     params(
         ("scene" = String, Path, description = "Name of the scene", example = "pocket"),
         ("at" = String, Query, pattern = r"^[-+]?[0-9]{1,15}(\.[0-9]{0,15})?(e[-+]?[0-9]{1,2})?(,[-+]?[0-9]{1,15}(\.[0-9]{0,15})?(e[-+]?[0-9]{1,2})?){2}$", description = "`x,y,z` in user units", example = "1.5,2,0"),
-        ("ids" = inline(Option<IdForm>), Query, description = "`text`: ids are answered as decimal strings, which JavaScript keeps exact above 2^53", example = "text"),
+        ("ids" = inline(Option<IdForm>), Query, description = ABOUT_IDS, example = "text"),
     ),
     responses((status = 200, description = "Where it lies", body = Containment))
 )]

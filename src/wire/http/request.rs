@@ -21,6 +21,14 @@ use crate::wire::calls;
 use crate::wire::documents::{IdForm, decimal};
 use crate::wire::problem::{Code, Fault, Faults, Problem};
 
+/// What is said of the parameter `id` in a path.
+pub(super) const ABOUT_ID: &str = "The cube's id: a whole number from 0 to 2^64 - 1, in decimal digits. Where numbers are floats, as in \
+                                   JavaScript, keep it as a string: above 2^53 it would be another one";
+
+/// What is said of the parameter `ids`.
+pub(super) const ABOUT_IDS: &str =
+    "`text`: ids are answered as decimal strings, which JavaScript keeps exact above 2^53";
+
 /// Parameters of the path.
 #[derive(FromRequestParts)]
 #[from_request(via(axum::extract::Path), rejection(Problem))]
@@ -200,10 +208,10 @@ pub(super) fn body_type(headers: &HeaderMap, taken: &[BodyType]) -> Result<BodyT
         return Err(refuse("there is no Content-Type".into()));
     };
     let text = given.to_str().unwrap_or_default();
-    let essence = text.split(';').next().unwrap_or_default().trim();
-    let found = taken
-        .iter()
-        .find(|one| essence.eq_ignore_ascii_case(one.name()));
+    let found = MediaType::parse(text).ok().and_then(|given| {
+        let is_given = |one: &&BodyType| one.media_type() == given.essence();
+        taken.iter().find(is_given)
+    });
     found
         .copied()
         .ok_or_else(|| refuse(format!("Content-Type is {given:?}").into()))

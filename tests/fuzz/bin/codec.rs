@@ -4,4 +4,4 @@
 #[path = "../targets.rs"]
 mod targets;
 
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| targets::TARGETS[1].1(bytes));
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| targets::target("codec")(bytes));
