@@ -6,7 +6,7 @@
 //!
 //! ```text
 //!   bins in the order of their keys     A            B            C          evaluating cube 5 of bin B:
-//!   settled cubes, as before          0 1 2        0 1 2 3      0 1          all of A, 0 to 4 of B,
+//!   kept cubes, as before           0 1 2        0 1 2 3      0 1          all of A, 0 to 4 of B,
 //!   fresh cubes, of this slice        3 4 5 6      4 5 6        2 3          0 and 1 of C
 //! ```
 //!
@@ -21,7 +21,7 @@ use crate::geometry::{CubeId, Place};
 
 use super::Engine;
 use super::access::Access;
-use super::grid::{BinAddress, CUBES_A_STEP, Grid, Settled};
+use super::grid::{BinAddress, CUBES_A_STEP, Due, Grid};
 use super::kernel::{Difference, Kernel, Span};
 use super::neighbours::Neighbours;
 use super::parallel::in_parallel;
@@ -33,14 +33,14 @@ pub(super) const BATCH_MIN: usize = 32;
 /// From so many cubes on, waking other threads pays: some milliseconds of work.
 const PARALLEL_MIN: usize = 1024;
 
-/// A slice has as many cubes as are exposed already, so that in a crowd most of them are found covered without evaluation; but
-/// within these bounds. The greatest is what an index in the order can name.
+/// A slice has as many cubes as are exposed already, so that where they are dense most of them are found covered without
+/// evaluation; but within these bounds. The greatest is what an index in the order can name.
 const SLICE_MIN: usize = 4096;
 const SLICE_MAX: usize = 1 << INDEX_BITS;
 const INDEX_BITS: u32 = 22;
 
 /// Exposed cubes that are deleted at once where many are covered.
-const CROWD_SLICE: usize = 128;
+const DENSE_SLICE: usize = 128;
 
 /// Bits of an axis in the order of bins.
 const AXIS_BITS: u32 = 14;
@@ -60,9 +60,9 @@ pub(super) struct Helper {
 
 /// A slice in order.
 #[derive(Default)]
-struct Plan {
-    /// The order of the cubes by bins that lie near each other, each with its index in the slice.
-    order: Vec<u64>,
+struct Order {
+    /// The cubes by bins that lie near each other, each with its index in the slice: see [`Codes`].
+    codes: Vec<u64>,
     /// Indices of cubes known to be covered.
     covered: Vec<usize>,
 }
@@ -79,20 +79,24 @@ struct Found {
     boxes: Vec<Span>,
 }
 
-/// So many cubes are put into a grid on several threads; and how many of them at a time are first brought together, then put in by
-/// one step, which takes a millisecond or two.
+/// From so many cubes on, several threads put them into the grid.
 const FILL_MIN: usize = 1 << 16;
+
+/// So many of them at a time are first brought together in order.
 const CUBES_AT_ONCE: usize = 1 << 18;
+
+/// So many of these are put in by one step of several threads, which takes a millisecond or two.
 const CUBES_A_LONG_STEP: usize = 1 << 14;
 
-/// Bins whose fresh cubes one step settles.
+/// Bins whose fresh cubes one step makes like all others.
 const BINS_A_STEP: usize = 256;
 
 /// Changes for which one step reviews the covered cells.
 const REVIEWS_A_STEP: usize = 64;
 
-/// Bins that one step divides or unites, and cubes for which it continues a rehash: each may move a hundred cubes.
-const CROWDS_A_STEP: usize = 16;
+/// Bins that one step divides, unites, marks or empties of fresh cubes, and cubes for which it continues a rehash: each of these may
+/// touch a hundred cubes.
+const HUNDREDS_A_STEP: usize = 16;
 
 /// Inserts cubes whose ids are in the table already.
 pub(super) fn insert_batch(access: &impl Access, cubes: &[(CubeId, Place)]) {
@@ -109,14 +113,14 @@ pub(super) fn insert_batch(access: &impl Access, cubes: &[(CubeId, Place)]) {
 
 fn insert_slice(access: &impl Access, cubes: &[(CubeId, Place)]) {
     let mut helpers = access.step(|engine| engine.take_helpers(cubes.len()));
-    let plan = access.look(|engine| engine.plan(&mut helpers, cubes));
+    let order = access.look(|engine| engine.order_without_covered(&mut helpers, cubes));
     let threads = access.look(|engine| engine.threads);
-    let touched = if threads > 1 && plan.order.len() >= FILL_MIN {
-        fill_in_parallel(access, &plan, cubes, threads)
+    let touched = if threads > 1 && order.codes.len() >= FILL_MIN {
+        fill_in_parallel(access, &order, cubes, threads)
     } else {
-        fill(access, &plan, cubes)
+        fill(access, &order, cubes)
     };
-    let found = access.look(|engine| engine.evaluate(&mut helpers, &touched, cubes.len(), false));
+    let found = access.look(|engine| engine.evaluate(&mut helpers, &touched, cubes.len()));
     for found in found {
         if let Some(sum) = &found.sum {
             access.step(|engine| sum.insert_into(&mut engine.totals));
@@ -133,12 +137,12 @@ fn insert_slice(access: &impl Access, cubes: &[(CubeId, Place)]) {
         }
     }
     if access.look(|engine| engine.covered_cells.are_kept()) {
-        for some in touched.chunks(CROWDS_A_STEP) {
+        for some in touched.chunks(HUNDREDS_A_STEP) {
             access.step(|engine| engine.mark_fresh(some));
         }
     }
-    settle(access, &touched);
-    for some in plan.covered.chunks(CUBES_A_STEP) {
+    end_batch(access, &touched);
+    for some in order.covered.chunks(CUBES_A_STEP) {
         access.step(|engine| {
             for &index in some {
                 let (id, place) = cubes[index];
@@ -150,11 +154,11 @@ fn insert_slice(access: &impl Access, cubes: &[(CubeId, Place)]) {
 }
 
 /// Puts the cubes of a slice into the exposed grid; the bins in which they are.
-fn fill(access: &impl Access, plan: &Plan, cubes: &[(CubeId, Place)]) -> Vec<BinAddress> {
+fn fill(access: &impl Access, order: &Order, cubes: &[(CubeId, Place)]) -> Vec<BinAddress> {
     let mut touched = Vec::new();
     let mut some = Vec::with_capacity(CUBES_A_STEP);
-    for first in (0..plan.order.len()).step_by(CUBES_A_STEP) {
-        plan.cubes_of_step(first, cubes, &mut some);
+    for first in (0..order.codes.len()).step_by(CUBES_A_STEP) {
+        order.cubes_of_step(first, cubes, &mut some);
         access.step(|engine| engine.exposed.insert_fresh(&some, &mut touched));
     }
     touched
@@ -163,12 +167,12 @@ fn fill(access: &impl Access, plan: &Plan, cubes: &[(CubeId, Place)]) -> Vec<Bin
 /// The same on several threads, in fewer and longer steps.
 fn fill_in_parallel(
     access: &impl Access,
-    plan: &Plan,
+    order: &Order,
     cubes: &[(CubeId, Place)],
     threads: usize,
 ) -> Vec<BinAddress> {
     let mut touched = Vec::new();
-    for some in plan.order.chunks(CUBES_AT_ONCE) {
+    for some in order.codes.chunks(CUBES_AT_ONCE) {
         let mut shares: Vec<_> = some.chunks(some.len().div_ceil(threads)).collect();
         let ordered = in_parallel(&mut shares, |_, share| in_order(share, cubes));
         for some in ordered
@@ -197,10 +201,10 @@ pub(super) fn delete_batch(access: &impl Access, cubes: &[(CubeId, Place)]) {
                     exposed.extend(rest.copied());
                 });
             }
-            // In a crowd the first cubes promoted cover what the next deletions would uncover: with many deletions at once
-            // each would look through all that is covered around it.
-            let is_crowd = access.look(|engine| engine.covered.len() * 8 > engine.exposed.len());
-            let size = if is_crowd { CROWD_SLICE } else { SLICE_MAX };
+            // Where cubes are dense the first ones promoted cover what the next deletions would uncover: with many deletions at
+            // once each would look through all that is covered around it.
+            let is_dense = access.look(|engine| engine.covered.len() * 8 > engine.exposed.len());
+            let size = if is_dense { DENSE_SLICE } else { SLICE_MAX };
             for slice in exposed.chunks(size) {
                 delete_slice(access, slice);
             }
@@ -226,14 +230,14 @@ fn review_covered_cells(access: &impl Access, changes: usize) {
 /// Deletes exposed cubes.
 fn delete_slice(access: &impl Access, cubes: &[(CubeId, Place)]) {
     let mut helpers = access.step(|engine| engine.take_helpers(cubes.len()));
-    let plan = access.look(|engine| engine.order(&mut helpers, cubes));
+    let order = access.look(|engine| engine.order(&mut helpers, cubes));
     let mut touched = Vec::new();
     let mut count = 0;
-    for first in (0..plan.order.len()).step_by(CUBES_A_STEP) {
+    for first in (0..order.codes.len()).step_by(CUBES_A_STEP) {
         access.step(|engine| {
-            for at in plan.step(first) {
-                plan.prefetch(at, cubes, &engine.exposed);
-                let (id, place) = cubes[index_of(plan.order[at])];
+            for at in order.step(first) {
+                order.prefetch(at, cubes, &engine.exposed);
+                let (id, place) = cubes[index_of(order.codes[at])];
                 if !engine.replace_by_duplicate(id, place) {
                     touched.extend(engine.exposed.make_fresh(place, id));
                     count += 1;
@@ -242,17 +246,20 @@ fn delete_slice(access: &impl Access, cubes: &[(CubeId, Place)]) {
         });
     }
     let found = access.look(|engine| {
-        let boxes = engine.covered.len() > 0;
-        engine.evaluate(&mut helpers, &touched, count, boxes)
+        if engine.covered.len() > 0 {
+            engine.evaluate_with_boxes(&mut helpers, &touched, count)
+        } else {
+            engine.evaluate(&mut helpers, &touched, count)
+        }
     });
-    for some in touched.chunks(CROWDS_A_STEP) {
+    for some in touched.chunks(HUNDREDS_A_STEP) {
         access.step(|engine| {
             for address in some {
                 engine.exposed.remove_all_fresh(*address);
             }
         });
     }
-    settle(access, &touched);
+    end_batch(access, &touched);
     for found in &found {
         if let Some(sum) = &found.sum {
             access.step(|engine| sum.delete_from(&mut engine.totals));
@@ -280,59 +287,59 @@ fn delete_slice(access: &impl Access, cubes: &[(CubeId, Place)]) {
     access.step(|engine| engine.helpers = helpers);
 }
 
-/// Settles the fresh cubes of some bins, and divides or unites these bins where that is due. The addresses are not valid
-/// afterwards.
-fn settle(access: &impl Access, touched: &[BinAddress]) {
-    let mut settled = Settled::default();
+/// Ends the part of the fresh cubes of some bins in the batch, and divides or unites these bins where that is due. The addresses
+/// are not valid afterwards.
+fn end_batch(access: &impl Access, touched: &[BinAddress]) {
+    let mut due = Due::default();
     for some in touched.chunks(BINS_A_STEP) {
-        access.step(|engine| engine.exposed.settle(some, &mut settled));
+        access.step(|engine| engine.exposed.keep_fresh(some, &mut due));
     }
-    for some in settled.crowded.chunks(CROWDS_A_STEP) {
+    for some in due.overfull.chunks(HUNDREDS_A_STEP) {
         access.step(|engine| {
             for address in some {
-                engine.exposed.divide_crowded(*address);
+                engine.exposed.divide_overfull(*address);
             }
         });
     }
-    for some in settled.corners.chunks(CROWDS_A_STEP) {
+    for some in due.corners.chunks(HUNDREDS_A_STEP) {
         access.step(|engine| {
             for corner in some {
                 engine.exposed.unite_sparse(*corner);
             }
         });
     }
-    for first in (0..=settled.cubes).step_by(CROWDS_A_STEP) {
+    for first in (0..=due.cubes).step_by(HUNDREDS_A_STEP) {
         access.step(|engine| {
-            for _ in first..(first + CROWDS_A_STEP).min(settled.cubes + 1) {
+            for _ in first..(first + HUNDREDS_A_STEP).min(due.cubes + 1) {
                 engine.exposed.continue_rehash();
             }
         });
     }
 }
 
-impl Plan {
-    /// Makes a plan for each helper's part of the cubes, and of them one.
+impl Order {
+    /// Puts each helper's part of the cubes in order, and then all of them.
     fn of_parts(helpers: &mut [Helper], part: impl Fn(usize) -> Self + Sync) -> Self {
         let parts = in_parallel(helpers, |number, _| part(number));
         let is_one = parts.len() <= 1;
-        let mut plan = parts.into_iter().reduce(|mut plan, mut part| {
-            plan.order.append(&mut part.order);
-            plan.covered.append(&mut part.covered);
-            plan
+        let mut order = parts.into_iter().reduce(|mut order, mut part| {
+            order.codes.append(&mut part.codes);
+            order.covered.append(&mut part.covered);
+            order
         });
-        if let Some(plan) = plan.as_mut().filter(|_| !is_one) {
+        if let Some(order) = order.as_mut().filter(|_| !is_one) {
             #[expect(
                 clippy::stable_sort_primitive,
                 reason = "it finds what is in order already, and merges it in one pass"
             )]
-            plan.order.sort();
+            order.codes.sort();
         }
-        plan.unwrap_or_default()
+        order.unwrap_or_default()
     }
 
     /// The places in the order that a step from `first` on takes.
     fn step(&self, first: usize) -> Range<usize> {
-        first..self.order.len().min(first + CUBES_A_STEP)
+        first..self.codes.len().min(first + CUBES_A_STEP)
     }
 
     /// The cubes of the step from `first` on, in order. Prefetches those of the next step.
@@ -343,20 +350,20 @@ impl Plan {
         some: &mut Vec<(CubeId, Place)>,
     ) {
         let step = self.step(first);
-        for code in &self.order[self.step(step.end)] {
+        for code in &self.codes[self.step(step.end)] {
             prefetch(cubes, index_of(*code));
         }
         some.clear();
-        some.extend(self.order[step].iter().map(|code| cubes[index_of(*code)]));
+        some.extend(self.codes[step].iter().map(|code| cubes[index_of(*code)]));
     }
 
     /// Prefetches what cubes some places later need.
     #[inline]
     fn prefetch(&self, at: usize, cubes: &[(CubeId, Place)], exposed: &Grid) {
-        if let Some(code) = self.order.get(at + 2 * AHEAD) {
+        if let Some(code) = self.codes.get(at + 2 * AHEAD) {
             prefetch(cubes, index_of(*code));
         }
-        if let Some(code) = self.order.get(at + AHEAD) {
+        if let Some(code) = self.codes.get(at + AHEAD) {
             exposed.prefetch(cubes[index_of(*code)].1);
         }
     }
@@ -377,7 +384,7 @@ impl Engine {
     }
 
     /// The order of cubes, without those in covered cells.
-    fn plan(&self, helpers: &mut [Helper], cubes: &[(CubeId, Place)]) -> Plan {
+    fn order_without_covered(&self, helpers: &mut [Helper], cubes: &[(CubeId, Place)]) -> Order {
         if !self.covered_cells.are_kept() {
             return self.order(helpers, cubes);
         }
@@ -385,34 +392,34 @@ impl Engine {
             Codes::of(&self.exposed, cubes),
             self.cubes_a_thread(cubes.len()),
         );
-        Plan::of_parts(&mut helpers[..cubes.len().div_ceil(size)], |number| {
+        Order::of_parts(&mut helpers[..cubes.len().div_ceil(size)], |number| {
             let first = number * size;
-            let mut plan = Plan::default();
+            let mut order = Order::default();
             for (index, (_, place)) in cubes.iter().enumerate().skip(first).take(size) {
                 if self.covered_cells.cover(*place) {
-                    plan.covered.push(index);
+                    order.covered.push(index);
                 } else {
-                    plan.order.push(codes.code(*place, index));
+                    order.codes.push(codes.code(*place, index));
                 }
             }
-            plan.order.sort_unstable();
-            plan
+            order.codes.sort_unstable();
+            order
         })
     }
 
     /// The order of cubes.
-    fn order(&self, helpers: &mut [Helper], cubes: &[(CubeId, Place)]) -> Plan {
+    fn order(&self, helpers: &mut [Helper], cubes: &[(CubeId, Place)]) -> Order {
         let (codes, size) = (
             Codes::of(&self.exposed, cubes),
             self.cubes_a_thread(cubes.len()),
         );
-        Plan::of_parts(&mut helpers[..cubes.len().div_ceil(size)], |number| {
+        Order::of_parts(&mut helpers[..cubes.len().div_ceil(size)], |number| {
             let part = cubes.iter().enumerate().skip(number * size).take(size);
             let codes = part.map(|(index, (_, place))| codes.code(*place, index));
-            let mut order: Vec<u64> = codes.collect();
-            order.sort_unstable();
-            Plan {
-                order,
+            let mut codes: Vec<u64> = codes.collect();
+            codes.sort_unstable();
+            Order {
+                codes,
                 covered: Vec::new(),
             }
         })
@@ -441,14 +448,28 @@ impl Engine {
         std::mem::take(&mut self.helpers)
     }
 
-    /// Evaluates the fresh cubes, `count` in all, of the bins that have any; with the boxes around what their deletion uncovers
-    /// when asked to.
-    fn evaluate(
+    /// Evaluates the fresh cubes, `count` in all, of the bins that have any.
+    fn evaluate(&self, helpers: &mut [Helper], touched: &[BinAddress], count: usize) -> Vec<Found> {
+        self.evaluate_each(helpers, touched, count, Found::add)
+    }
+
+    /// The same, with boxes around what the deletion of each uncovers.
+    fn evaluate_with_boxes(
         &self,
         helpers: &mut [Helper],
         touched: &[BinAddress],
         count: usize,
-        boxes: bool,
+    ) -> Vec<Found> {
+        self.evaluate_each(helpers, touched, count, Found::add_with_boxes)
+    }
+
+    /// Calls `evaluate` with each fresh cube, for which a helper has the neighbours; false when it changes nothing.
+    fn evaluate_each(
+        &self,
+        helpers: &mut [Helper],
+        touched: &[BinAddress],
+        count: usize,
+        evaluate: impl Fn(&mut Found, &mut Helper, Place) -> bool + Sync,
     ) -> Vec<Found> {
         let size = self.cubes_a_thread(count);
         let exposed = &self.exposed;
@@ -461,7 +482,15 @@ impl Engine {
                     return found;
                 };
                 for address in rest.iter().take(BINS_AT_ONCE) {
-                    found.add_bin(exposed, *address, helper, boxes);
+                    let bin = exposed.bin(*address);
+                    let bin = bin.expect("a touched bin has fresh cubes");
+                    for index in bin.len() - bin.fresh()..bin.len() {
+                        let corner = bin.corner(index);
+                        exposed.gather_before(*address, index, corner, &mut helper.neighbours);
+                        if !evaluate(&mut found, helper, Place::from_checked(corner)) {
+                            found.covered.push((*address, index));
+                        }
+                    }
                 }
             }
         })
@@ -469,28 +498,28 @@ impl Engine {
 }
 
 impl Found {
-    fn add_bin(&mut self, exposed: &Grid, address: BinAddress, helper: &mut Helper, boxes: bool) {
-        let bin = exposed.bin(address).expect("a touched bin has fresh cubes");
-        for index in bin.len() - bin.fresh()..bin.len() {
-            let place = Place::from_checked(bin.corner(index));
-            exposed.gather_before(address, index, place.corner(), &mut helper.neighbours);
-            let changes = if boxes {
-                let (neighbours, uncovered) = (&helper.neighbours, &mut helper.uncovered);
-                helper.kernel.uncovered(place, neighbours, uncovered)
-            } else {
-                helper.kernel.marginal(place, &helper.neighbours)
-            };
-            if !changes {
-                self.covered.push((address, index));
-                continue;
-            }
-            let sum = self.sum.get_or_insert_with(|| helper.kernel.nothing());
-            helper.kernel.add_to(sum);
-            if boxes {
-                self.uncovering.push((place, helper.uncovered.len()));
-                self.boxes.extend_from_slice(&helper.uncovered);
-            }
+    fn add(&mut self, helper: &mut Helper, place: Place) -> bool {
+        let changes = helper.kernel.marginal(place, &helper.neighbours);
+        if changes {
+            self.add_sum(&helper.kernel);
         }
+        changes
+    }
+
+    fn add_with_boxes(&mut self, helper: &mut Helper, place: Place) -> bool {
+        let (neighbours, uncovered) = (&helper.neighbours, &mut helper.uncovered);
+        let changes = helper.kernel.uncovered(place, neighbours, uncovered);
+        if changes {
+            self.add_sum(&helper.kernel);
+            self.uncovering.push((place, uncovered.len()));
+            self.boxes.extend_from_slice(uncovered);
+        }
+        changes
+    }
+
+    fn add_sum(&mut self, kernel: &Kernel) {
+        let sum = self.sum.get_or_insert_with(|| kernel.nothing());
+        kernel.add_to(sum);
     }
 }
 

@@ -21,7 +21,7 @@ use super::scan::{Corners, first_bits, within};
 pub(super) struct BinKey(pub(super) [i32; 3]);
 
 impl BinKey {
-    /// Mixes the three coordinates. No secret: who could choose colliding bins could as well choose crowded ones.
+    /// Mixes the three coordinates. No secret: who could choose colliding bins could as well fill one.
     #[inline]
     pub(super) fn hash(self) -> u64 {
         let [x, y, z] = self.0.map(|layer| u64::from(layer.cast_unsigned()));

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!   level 0   bins of side 2^shift           [  ][  ][##][  ]        most cubes are here
-//!   level 1   half as wide, where a bin               [][#]          of level 0 is divided, because it was crowded
+//!   level 1   half as wide, where a bin               [][#]          of level 0 is divided, because it was overfull
 //! ```
 //!
 //! Each cube is stored once, in the one undivided bin that holds its lower corner. Bins are at least as wide as an edge
@@ -32,7 +32,7 @@ pub(super) struct Grid {
     levels: Vec<Bins>,
     /// Width of the bins of level 0: `2^shift` steps.
     shift: u32,
-    /// The least shift that crowds may bring; none when the bins are fixed.
+    /// The least shift that overfull bins may bring; none when the bins are fixed.
     narrowest: Option<u32>,
     rehash: Rehash,
     avx2: Option<Avx2>,
@@ -60,11 +60,11 @@ pub(super) struct BinAddress {
     key: BinKey,
 }
 
-/// What is due once the fresh cubes of a batch are settled: first to divide the crowded bins, then to unite the sparse ones, then
-/// to continue the rehash for each cube.
+/// What is due at the end of a batch: first to divide the overfull bins, then to unite the sparse ones, then to continue the rehash
+/// for each cube.
 #[derive(Default)]
-pub(super) struct Settled {
-    pub(super) crowded: Vec<BinAddress>,
+pub(super) struct Due {
+    pub(super) overfull: Vec<BinAddress>,
     pub(super) corners: Vec<[i32; 3]>,
     /// How many cubes of the batch stayed.
     pub(super) cubes: usize,
@@ -93,9 +93,9 @@ pub(super) const CUBES_A_STEP: usize = 256;
 const RUNS_AT_ONCE: usize = 128;
 
 /// More cubes in a bin than this, and it is divided.
-const CROWD_MAX: usize = 160;
+const BIN_MAX: usize = 160;
 /// So few cubes in a divided bin, and it is one again; when a level is widened, twice as many.
-const CROWD_MIN: usize = 40;
+const BIN_MIN: usize = 40;
 /// Fewer cubes a bin than this (on average), and the bins become wider.
 const MEAN_MIN: usize = 6;
 /// Too few cubes to bother.
@@ -115,13 +115,13 @@ const BINS_AT_ONCE: usize = 8;
 const BINS_A_CHANGE: usize = 2;
 
 impl Grid {
-    /// A grid for queries that reach an edge to both sides. Crowded bins become as narrow as one or two edges: a query
+    /// A grid for queries that reach an edge to both sides. Overfull bins become as narrow as one or two edges: a query
     /// then meets at most 64.
     pub(super) fn for_neighbours(edge: Edge) -> Self {
         Self::adaptive(edge, 0)
     }
 
-    /// A grid for queries that reach an edge to one side; crowded bins become as narrow as a quarter of an edge.
+    /// A grid for queries that reach an edge to one side; overfull bins become as narrow as a quarter of an edge.
     pub(super) fn for_small_boxes(edge: Edge) -> Self {
         Self::adaptive(edge, 2)
     }
@@ -167,11 +167,11 @@ impl Grid {
     pub(super) fn insert(&mut self, place: Place, id: CubeId) {
         let corner = place.corner();
         let address = self.address_for(corner);
-        let crowd = self.levels[address.level].push(address.key, corner, id);
+        let count = self.levels[address.level].push(address.key, corner, id);
         self.len += 1;
         self.extents.insert(corner, self.len == 1);
-        if crowd > CROWD_MAX {
-            self.divide_crowded(address);
+        if count > BIN_MAX {
+            self.divide_overfull(address);
         }
         self.continue_rehash();
     }
@@ -496,16 +496,16 @@ impl Grid {
         }
     }
 
-    /// Settles the fresh cubes of some bins, and notes what is due then.
-    pub(super) fn settle(&mut self, addresses: &[BinAddress], settled: &mut Settled) {
+    /// Makes the fresh cubes of some bins like all others, and notes what is due then.
+    pub(super) fn keep_fresh(&mut self, addresses: &[BinAddress], due: &mut Due) {
         for address in addresses {
-            settled.corners.push(self.corner_of(*address));
+            due.corners.push(self.corner_of(*address));
             if self.bin(*address).is_some() {
                 let bin = self.bin_mut(*address);
-                settled.cubes += bin.fresh();
+                due.cubes += bin.fresh();
                 bin.set_fresh(0);
-                if bin.len() > CROWD_MAX {
-                    settled.crowded.push(*address);
+                if bin.len() > BIN_MAX {
+                    due.overfull.push(*address);
                 }
             }
         }
@@ -675,20 +675,19 @@ impl Grid {
         self.visit_level(level, [first, last], [min, max], visit)
     }
 
-    /// Divides a bin, and those it is divided into as long as they are crowded, unless bins must not be so narrow.
+    /// Divides a bin, and those it is divided into as long as they are overfull, unless bins must not be so narrow.
     #[cold]
-    pub(super) fn divide_crowded(&mut self, address: BinAddress) {
+    pub(super) fn divide_overfull(&mut self, address: BinAddress) {
         let shift = shift_of(self.shift, address.level);
         if self.narrowest.is_none_or(|narrowest| shift <= narrowest) {
             return;
         }
-        let crowded = self.divide(address);
-        for address in crowded {
-            self.divide_crowded(address);
+        for address in self.divide(address) {
+            self.divide_overfull(address);
         }
     }
 
-    /// Divides a bin; those it is divided into that are crowded.
+    /// Divides a bin; those it is divided into that are overfull.
     fn divide(&mut self, address: BinAddress) -> Vec<BinAddress> {
         let bins = &mut self.levels[address.level];
         let bin = bins.remove(address.key).expect("the bin has been found");
@@ -697,15 +696,15 @@ impl Grid {
         if level == self.levels.len() {
             self.levels.push(Bins::new());
         }
-        let mut crowded = Vec::new();
+        let mut overfull = Vec::new();
         for index in 0..bin.len() {
             let key = self.key(level, bin.corner(index));
-            let crowd = self.levels[level].push(key, bin.corner(index), bin.id(index));
-            if crowd == CROWD_MAX + 1 {
-                crowded.push(BinAddress { level, key });
+            let count = self.levels[level].push(key, bin.corner(index), bin.id(index));
+            if count == BIN_MAX + 1 {
+                overfull.push(BinAddress { level, key });
             }
         }
-        crowded
+        overfull
     }
 
     /// Makes one of the divided bins at `corner` undivided when there are few cubes in it.
@@ -716,7 +715,7 @@ impl Grid {
             match self.levels[level].get(key) {
                 Some(bin) if !bin.is_divided() => return,
                 None if !self.may_be_below(level) => return,
-                Some(bin) if bin.len() <= CROWD_MIN => return self.unite(level, key),
+                Some(bin) if bin.len() <= BIN_MIN => return self.unite(level, key),
                 Some(_) | None => {}
             }
         }
@@ -767,7 +766,7 @@ impl Grid {
         };
         *unmoved -= below.iter().filter(|count| **count > 0).count();
         let cubes: usize = below.iter().sum();
-        if cubes > 2 * CROWD_MIN {
+        if cubes > 2 * BIN_MIN {
             self.levels[0].divide(key, cubes);
         } else if cubes > 0 {
             self.move_below(0, key, 0, key);
@@ -800,7 +799,7 @@ impl Grid {
     }
 
     /// Begins a wider level when there are few cubes in a bin. Looked at only when their number has doubled or halved (and
-    /// again when that level is complete), so that what a crowd among sparse cubes makes narrow again costs little.
+    /// again when that level is complete), so that what a cluster among sparse cubes makes narrow again costs little.
     #[cold]
     fn review_levels(&mut self) {
         self.review = [self.len / 2, (self.len * 2).max(REVIEW_MIN)];
@@ -827,8 +826,8 @@ impl Grid {
                     self.rehash = Rehash::Narrow(if more { walk } else { Walk::default() });
                     if let Some(bin) = bin.filter(|bin| !bin.is_divided()) {
                         let (level, key) = (0, bin.key());
-                        for crowded in self.divide(BinAddress { level, key }) {
-                            self.divide_crowded(crowded);
+                        for overfull in self.divide(BinAddress { level, key }) {
+                            self.divide_overfull(overfull);
                         }
                     }
                     if self.levels[0].len() == self.levels[0].divided() {
@@ -997,7 +996,7 @@ mod tests {
             let [mut one, mut several] = [(); 2].map(|()| Grid::for_neighbours(edge));
             let mut cubes = BTreeMap::new();
             let mut levels = 0;
-            // Sparse, then crowds in some bins, then nearly all in crowds.
+            // Sparse, then clusters in some bins, then nearly all in clusters.
             for (change, (half, count)) in [
                 (30_000, 9_000),
                 (600, 3_000),
@@ -1030,11 +1029,11 @@ mod tests {
                 assert_eq!(found, expected, "change {change}");
                 assert_eq!(several.size(), one.size(), "change {change}");
                 for (grid, touched) in [(&mut one, &touched[0]), (&mut several, &touched[1])] {
-                    let mut settled = Settled::default();
-                    grid.settle(touched, &mut settled);
-                    assert_eq!(settled.cubes as u64, count);
-                    for address in &settled.crowded {
-                        grid.divide_crowded(*address);
+                    let mut due = Due::default();
+                    grid.keep_fresh(touched, &mut due);
+                    assert_eq!(due.cubes as u64, count);
+                    for address in &due.overfull {
+                        grid.divide_overfull(*address);
                     }
                     check(grid, &cubes, &mut random);
                     levels = levels.max(grid.levels.len());
@@ -1043,11 +1042,11 @@ mod tests {
                     |grid: &Grid| -> usize { grid.levels.iter().map(Bins::divided).sum() };
                 assert_eq!(divided(&several), divided(&one));
             }
-            assert!(levels > 2, "crowds have divided bins: {levels}");
+            assert!(levels > 2, "clusters have divided bins: {levels}");
         }
     }
 
-    /// Sparse cubes, then a crowd among them, then sparse ones again, and none: more than are looked at at once, so that
+    /// Sparse cubes, then a cluster among them, then sparse ones again, and none: more than are looked at at once, so that
     /// levels come and go a few bins at a time.
     #[test]
     fn levels_come_and_go() {

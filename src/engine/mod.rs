@@ -295,7 +295,7 @@ impl Engine {
     }
 
     /// Makes room for so many more cubes by id: for those that come in the order of a listing, chunk by chunk, which would
-    /// crowd a table that grows.
+    /// fill only the front of a table that grows.
     pub fn reserve(&mut self, cubes: u64) {
         let more = usize::try_from(cubes.min(CUBES_MAX));
         self.ids.reserve(more.expect("it is at most 2^31"));
@@ -309,7 +309,7 @@ impl Engine {
         if Self::applies_at_once(effect) {
             self.apply_few(effect)
         } else {
-            Self::apply_many(&RefCell::new(self), effect)
+            Self::apply_through(&RefCell::new(self), effect)
         }
     }
 
@@ -318,21 +318,12 @@ impl Engine {
         effect.deleted.len() < BATCH_MIN && effect.inserted.len() < BATCH_MIN
     }
 
-    /// The same to an engine that others read meanwhile, and nobody else changes. Until it returns they find in [`Self::get`],
-    /// [`Self::cubes_after`] and [`Self::each_at`] every cube that the effect does not name, and some of those
-    /// that it does; totals are not current.
+    /// The same in many steps, to an engine that others read meanwhile, and nobody else changes: for an effect that is not small.
+    /// Until it returns they find in [`Self::get`], [`Self::cubes_after`] and [`Self::each_at`] every cube that the effect does not
+    /// name, and some of those that it does; totals are not current.
     /// # Errors
     /// As of [`Self::apply`].
     pub fn apply_through(access: &impl Access, effect: &Effect) -> Result<(), Inconsistent> {
-        if Self::applies_at_once(effect) {
-            access.step(|engine| engine.apply(effect))
-        } else {
-            Self::apply_many(access, effect)
-        }
-    }
-
-    /// Applies an effect in many steps.
-    fn apply_many(access: &impl Access, effect: &Effect) -> Result<(), Inconsistent> {
         let Effect { deleted, inserted } = effect;
         let by_parts = access.look(|engine| engine.changes_whole_parts(effect));
         // When the effect does not fit, one cube after the other finds out where.
@@ -586,7 +577,7 @@ impl Engine {
         let uncovered = boxes.reduce(|one, other| one.joined(&other))?;
         let edge = self.edge.steps();
         let reach = uncovered.min.map(|low| low - edge);
-        // In a crowd one cube often covers all of it; the first one found will do.
+        // Where cubes are dense one often covers all of it; the first one found will do.
         let covering = self.covered.visit(reach, uncovered.max, |corner, id| {
             let cube = Span::cube(corner, edge);
             if cube.contains(&uncovered) {

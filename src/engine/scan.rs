@@ -162,17 +162,13 @@ pub(super) fn first_bits(count: usize) -> u8 {
 mod tests {
     use super::{Corners, Neighbours, collect, within};
     use crate::engine::lanes::avx2;
+    use crate::random::Random;
 
     /// Both paths, on corners near and as far apart as there are, with every number of them in use.
     #[test]
     fn fast_and_plain_agree() {
-        let mut state = 1u64;
-        let mut next = |bound: u64| {
-            state ^= state << 13;
-            state ^= state >> 7;
-            state ^= state << 17;
-            i32::try_from(state % bound).unwrap()
-        };
+        let mut random = Random::new(1);
+        let mut next = |bound: u64| i32::try_from(random.below(bound)).unwrap();
         for round in 0..2000 {
             let capacity = 32;
             let spread = [20, 1000, 1 << 31][round % 3];

@@ -15,7 +15,7 @@ pub mod decode;
 pub mod documents;
 pub mod grpc;
 pub mod http;
-mod openapi;
+mod objects;
 pub mod problem;
 pub mod solids;
 

@@ -4,7 +4,6 @@
 //! many cubes at once faster than few, gets many at once. Memory for what is on its way is bounded: one batch is filled while
 //! another is applied. What is wrong first in the file is what is reported, however the file is cut into batches.
 
-use std::num::NonZero;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread;
 
@@ -159,8 +158,7 @@ pub(super) fn union_of(
     settings: &Settings,
     read: impl FnOnce(&mut Batches<'_>) -> Result<(), Failure> + Send,
 ) -> Result<Totals, Failure> {
-    let threads = thread::available_parallelism().unwrap_or(NonZero::<usize>::MIN);
-    let mut engine = Engine::new(settings.edge()).with_threads(threads);
+    let mut engine = Engine::new(settings.edge());
     let (to, batches) = sync_channel(0);
     thread::scope(|scope| {
         let reader = scope.spawn(move || {

@@ -11,63 +11,20 @@
 //!   are few, else halve the points at the median plane.
 //! ```
 
-use super::leaf::{Leaf, LeafOf};
+use super::leaf::{Leaf, LeafOf, Visitor};
+use super::plan::{Column, List, Plan};
 use super::span::Span;
-use super::sums::{Visitor, Width};
-use crate::engine::lanes::{Columns, Coordinate, LANES, Lanes, Task, WORDS};
+use super::width::Width;
+use crate::engine::lanes::{Columns, Coordinate, LANES, Lanes, Task};
 use crate::engine::neighbours::Neighbours;
-
-pub(super) type Column<L, W> = <L as Columns<<W as Width>::Coordinate>>::Column;
-pub(super) type Boxed<L, W> = <L as Columns<<W as Width>::Coordinate>>::Boxed;
-pub(super) type Corner<L, W> = <L as Columns<<W as Width>::Coordinate>>::Corner;
 
 /// What of a cube is weighed: the points in its core, or the cells in its clip.
 const CORE: usize = 0;
 const CLIP: usize = 1;
-/// Looking for clips within others ends after as many of the others.
+/// Thin points: at most so many of the largest clips are compared with all others, to drop those within them.
 const DROPS_MAX: usize = 8;
 /// Registers of a list that are weighed: their number fits a lane of any width.
 const WEIGHED_MAX: usize = i16::MAX as usize;
-
-/// A list of offsets in the stack. Behind it there is room for a register of [`Coordinate::FAR`].
-#[derive(Clone, Copy)]
-pub(super) struct List {
-    first: usize,
-    pub(super) len: usize,
-}
-
-impl List {
-    /// Its part of a column, in whole registers.
-    #[inline(always)]
-    fn of<C>(self, column: &[C]) -> &[[C; LANES]] {
-        let end = self.first + self.len.next_multiple_of(LANES);
-        column[self.first..end].as_chunks().0
-    }
-
-    /// Where the next list can begin.
-    #[inline(always)]
-    fn padded_end(self) -> usize {
-        self.first + self.len + LANES
-    }
-}
-
-/// The plan with its working memory: from the cubes around one cube to the points that count.
-#[derive(Clone, Debug)]
-pub(super) struct Plan<L: Columns<W::Coordinate>, W: Width> {
-    pub(super) lanes: L,
-    pub(super) edge: i32,
-    /// The cube in its own coordinates.
-    pub(super) own: Boxed<L, W>,
-    /// The stock in the cube's coordinates, drawn in to the frame.
-    pub(super) stock: Boxed<L, W>,
-    /// A stack of lists of offsets, a column for each axis: each level of the division adds one.
-    offsets: [Vec<W::Coordinate>; 3],
-    /// The clips of a leaf.
-    pub(super) clips: Vec<Boxed<L, W>>,
-    /// Boxes that contain everything newly covered; kept only when `collect` says so.
-    pub(super) uncovered: Vec<Span>,
-    pub(super) collect: bool,
-}
 
 /// Looks at all points of a cube; false, and nothing seen, when a neighbour is at the very same place.
 pub(super) struct Start<'a, L: Columns<W::Coordinate>, W: Width, V: Visitor<L, W>> {
@@ -90,7 +47,7 @@ impl<L: Columns<W::Coordinate>, W: Width, V: Visitor<L, W>> Task for Start<'_, L
             return false;
         };
         let (lanes, points) = (plan.lanes, Span::cube([0; 3], plan.edge));
-        lanes.run(Divide(Part::<L, W, V> {
+        lanes.run(Divide(Region::<L, W, V> {
             plan,
             list,
             points,
@@ -101,22 +58,22 @@ impl<L: Columns<W::Coordinate>, W: Width, V: Visitor<L, W>> Task for Start<'_, L
     }
 }
 
-/// A part of the points, and the cubes that are to be looked at for it.
-pub(super) struct Part<'a, L: Columns<W::Coordinate>, W: Width, V: Visitor<L, W>> {
-    pub(super) plan: &'a mut Plan<L, W>,
-    pub(super) list: List,
-    pub(super) points: Span,
-    pub(super) total: &'a mut V::Total,
+/// A box of the points, and the cubes that are to be looked at for it.
+struct Region<'a, L: Columns<W::Coordinate>, W: Width, V: Visitor<L, W>> {
+    plan: &'a mut Plan<L, W>,
+    list: List,
+    points: Span,
+    total: &'a mut V::Total,
 }
 
-/// Looks at a part all of whose cubes reach a cell next to its points.
-struct Divide<'a, L: Columns<W::Coordinate>, W: Width, V: Visitor<L, W>>(Part<'a, L, W, V>);
+/// Looks at a region all of whose cubes reach a cell next to its points.
+struct Divide<'a, L: Columns<W::Coordinate>, W: Width, V: Visitor<L, W>>(Region<'a, L, W, V>);
 
-/// Looks at a part of another, given all cubes of the other.
-struct Descend<'a, L: Columns<W::Coordinate>, W: Width, V: Visitor<L, W>>(Part<'a, L, W, V>);
+/// Looks at a region within another, given all cubes of the other.
+struct Descend<'a, L: Columns<W::Coordinate>, W: Width, V: Visitor<L, W>>(Region<'a, L, W, V>);
 
-/// Looks at a part where no cube has much of a core.
-struct Thin<'a, L: Columns<W::Coordinate>, W: Width, V: Visitor<L, W>>(Part<'a, L, W, V>);
+/// Looks at a region where no cube has much of a core.
+struct Thin<'a, L: Columns<W::Coordinate>, W: Width, V: Visitor<L, W>>(Region<'a, L, W, V>);
 
 impl<L: Columns<W::Coordinate>, W: Width, V: Visitor<L, W>> Task for Divide<'_, L, W, V> {
     type Output = ();
@@ -132,11 +89,11 @@ impl<L: Columns<W::Coordinate>, W: Width, V: Visitor<L, W>> Task for Descend<'_,
 
     #[inline(always)]
     fn run(mut self) {
-        let part = &mut self.0;
+        let region = &mut self.0;
         // Where one of the cubes covers all of this one nothing changes.
-        if let Some(reaching) = part.plan.reaching(part.list, &part.points) {
-            part.list = reaching;
-            part.plan.lanes.run(Divide(self.0));
+        if let Some(reaching) = region.plan.reaching(region.list, &region.points) {
+            region.list = reaching;
+            region.plan.lanes.run(Divide(self.0));
         }
     }
 }
@@ -150,12 +107,12 @@ impl<L: Columns<W::Coordinate>, W: Width, V: Visitor<L, W>> Task for Thin<'_, L,
     }
 }
 
-impl<L: Columns<W::Coordinate>, W: Width, V: Visitor<L, W>> Part<'_, L, W, V> {
+impl<L: Columns<W::Coordinate>, W: Width, V: Visitor<L, W>> Region<'_, L, W, V> {
     #[inline(always)]
     fn divide(mut self) {
         let lanes = self.plan.lanes;
         if self.list.len <= const { leaf_clips::<L, W, V>() } {
-            return lanes.run(Leaf(self));
+            return self.leaf();
         }
         let Some(core) = self.plan.largest_core(self.list, &self.points) else {
             return lanes.run(Thin(self));
@@ -183,12 +140,28 @@ impl<L: Columns<W::Coordinate>, W: Width, V: Visitor<L, W>> Part<'_, L, W, V> {
             plan, list, total, ..
         } = self;
         let (lanes, list) = (plan.lanes, *list);
-        lanes.run(Descend(Part::<L, W, V> {
+        lanes.run(Descend(Region::<L, W, V> {
             plan,
             list,
             points,
             total,
         }));
+    }
+
+    #[inline(always)]
+    fn leaf(self) {
+        let Self {
+            plan,
+            list,
+            points,
+            total,
+        } = self;
+        plan.lanes.run(Leaf::<L, W, V> {
+            plan,
+            list,
+            points,
+            total,
+        });
     }
 
     /// Drops clips within others, then uses the planes as they are, or halves the points at the median plane.
@@ -203,7 +176,7 @@ impl<L: Columns<W::Coordinate>, W: Width, V: Visitor<L, W>> Part<'_, L, W, V> {
         plan.clip(*list, points);
         *list = plan.drop_dominated(*list);
         if list.len <= few {
-            return lanes.run(Leaf(self));
+            return self.leaf();
         }
         let boxed = plan.boxed(points);
         let bound = plan.unboxed(lanes.common_box(plan.own, plan.grown(boxed)));
@@ -261,78 +234,6 @@ const fn leaf_clips<L: Lanes, W: Width, V: Visitor<L, W>>() -> usize {
 }
 
 impl<L: Columns<W::Coordinate>, W: Width> Plan<L, W> {
-    pub(super) fn new(lanes: L, edge: i32) -> Self {
-        assert!(edge <= W::STEPS_MAX, "the width suits the edge");
-        let nowhere = lanes.boxed(&[W::Coordinate::ZERO; 8]);
-        let mut plan = Self {
-            lanes,
-            edge,
-            own: nowhere,
-            stock: nowhere,
-            offsets: Default::default(),
-            clips: Vec::new(),
-            uncovered: Vec::new(),
-            collect: false,
-        };
-        plan.own = plan.boxed(&Span::cube([0; 3], edge));
-        plan
-    }
-
-    /// The first list of the stack; none when a neighbour is at the very same place.
-    #[inline(always)]
-    fn list(&mut self, neighbours: &Neighbours) -> Option<List> {
-        let list = List {
-            first: 0,
-            len: neighbours.len,
-        };
-        self.make_room(list.padded_end());
-        let columns = [&neighbours.x, &neighbours.y, &neighbours.z];
-        for (column, to) in columns.into_iter().zip(&mut self.offsets) {
-            let (from, _) = column[..list.len.next_multiple_of(WORDS)].as_chunks::<WORDS>();
-            let (to_whole, _) = to.as_chunks_mut::<WORDS>();
-            for (from, to) in from.iter().zip(to_whole) {
-                for lane in 0..WORDS {
-                    to[lane] = W::Coordinate::of_low_bits(from[lane]);
-                }
-            }
-            to[list.len..list.len + LANES].fill(W::Coordinate::FAR);
-        }
-        let lanes = self.lanes;
-        let zero = lanes.every(W::Coordinate::ZERO);
-        let ones = lanes.every(W::Coordinate::ONES);
-        let mut same = zero;
-        let [x, y, z] = &self.offsets;
-        let (x, y, z) = (list.of(x), list.of(y), list.of(z));
-        for index in 0..x.len() {
-            let mut here = ones;
-            for column in [&x[index], &y[index], &z[index]] {
-                let offset = lanes.column(column);
-                let apart = lanes.select(
-                    lanes.is_above(offset, zero),
-                    ones,
-                    lanes.is_above(zero, offset),
-                );
-                here = lanes.but(here, apart);
-            }
-            same = lanes.select(here, ones, same);
-        }
-        (!lanes.is_any(same)).then_some(list)
-    }
-
-    #[inline(always)]
-    fn make_room(&mut self, end: usize) {
-        if self.offsets[0].len() < end {
-            self.grow(end);
-        }
-    }
-
-    #[cold]
-    fn grow(&mut self, end: usize) {
-        for column in &mut self.offsets {
-            column.resize(end.next_power_of_two(), W::Coordinate::FAR);
-        }
-    }
-
     /// A new list of the cubes that reach a part of the points; none when one of them covers all of the cube that is there.
     #[inline(always)]
     fn reaching(&mut self, list: List, points: &Span) -> Option<List> {
@@ -534,40 +435,6 @@ impl<L: Columns<W::Coordinate>, W: Width> Plan<L, W> {
         list
     }
 
-    #[inline(always)]
-    fn pad(&mut self, list: List) {
-        let end = list.first + list.len;
-        for column in &mut self.offsets {
-            column[end..end + LANES].fill(W::Coordinate::FAR);
-        }
-    }
-
-    /// Cuts the cubes of a list to the cells next to the points.
-    #[inline(always)]
-    pub(super) fn clip(&mut self, list: List, points: &Span) {
-        let lanes = self.lanes;
-        let cells = self.grown(self.boxed(points));
-        // A cube's upper end may not fit; then it lies beyond all cells.
-        let minus_edge = lanes.every_corner(W::Coordinate::of(-self.edge));
-        self.clips.clear();
-        self.clips.reserve(list.len);
-        let [x, y, z] = &self.offsets;
-        let (x, y, z) = (list.of(x), list.of(y), list.of(z));
-        let mut left = list.len;
-        for index in 0..x.len() {
-            let corners = lanes.corners([
-                lanes.column(&x[index]),
-                lanes.column(&y[index]),
-                lanes.column(&z[index]),
-            ]);
-            for &low in &corners[..left.min(LANES)] {
-                let clip = lanes.joined([low, lanes.corner_minus(minus_edge, low)]);
-                self.clips.push(lanes.common_box(clip, cells));
-            }
-            left = left.saturating_sub(LANES);
-        }
-    }
-
     /// Drops clips within others, and their cubes from the list.
     #[inline(always)]
     fn drop_dominated(&mut self, list: List) -> List {
@@ -611,55 +478,6 @@ impl<L: Columns<W::Coordinate>, W: Width> Plan<L, W> {
         for column in &mut self.offsets {
             column[list.first + to] = column[list.first + index];
         }
-    }
-
-    #[inline(always)]
-    fn every(&self, coordinate: i32) -> Column<L, W> {
-        self.lanes.every(W::Coordinate::of(coordinate))
-    }
-
-    /// A box of the frame in a register.
-    #[inline(always)]
-    pub(super) fn boxed(&self, span: &Span) -> Boxed<L, W> {
-        let mut lanes = [W::Coordinate::ZERO; 8];
-        for axis in 0..3 {
-            lanes[axis] = W::Coordinate::of(span.min[axis]);
-            lanes[4 + axis] = W::Coordinate::of(-span.max[axis]);
-        }
-        self.lanes.boxed(&lanes)
-    }
-
-    #[inline(always)]
-    pub(super) fn unboxed(&self, boxed: Boxed<L, W>) -> Span {
-        let lanes = self.lanes.box_array(boxed);
-        let mut span = Span {
-            min: [0; 3],
-            max: [0; 3],
-        };
-        for axis in 0..3 {
-            span.min[axis] = lanes[axis].into();
-            let minus_max: i32 = lanes[4 + axis].into();
-            span.max[axis] = -minus_max;
-        }
-        span
-    }
-
-    /// The lower ends and the upper ends of a box.
-    #[inline(always)]
-    pub(super) fn ends(&self, boxed: Boxed<L, W>) -> [Corner<L, W>; 2] {
-        let [low, minus_high] = self.lanes.halves(boxed);
-        let zero = self.lanes.every_corner(W::Coordinate::ZERO);
-        [low, self.lanes.corner_minus(zero, minus_high)]
-    }
-
-    /// The cells next to a box of points.
-    #[inline(always)]
-    pub(super) fn grown(&self, points: Boxed<L, W>) -> Boxed<L, W> {
-        let (one, zero) = (W::Coordinate::of(1), W::Coordinate::ZERO);
-        let by = self
-            .lanes
-            .boxed(&[one, one, one, zero, one, one, one, zero]);
-        self.lanes.box_minus(points, by)
     }
 }
 

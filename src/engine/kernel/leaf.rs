@@ -11,9 +11,9 @@
 //!
 //! Points are *enumerated* here, with the octants around them before and after; what is done with them is a [`Visitor`]'s affair.
 
-use super::divide::{Boxed, Column, Corner, Part, Plan};
+use super::plan::{Boxed, Column, Corner, List, Plan};
 use super::span::Span;
-use super::sums::{Visitor, Width};
+use super::width::Width;
 use crate::engine::lanes::{Columns, Coordinate, LANES, Lanes, Task};
 
 /// Planes of an axis that the network sorts: all but `base - 1`, `base` and the last `top`.
@@ -55,22 +55,42 @@ pub(super) struct Planes<L: Columns<W::Coordinate>, W: Width> {
 type Layers = [[u16; LANES]; LAYERS];
 const LAYERS: usize = LANES + 2;
 
-/// Looks at a part with few cubes.
-pub(super) struct Leaf<'a, L: Columns<W::Coordinate>, W: Width, V: Visitor<L, W>>(
-    pub(super) Part<'a, L, W, V>,
-);
+/// What is done with the points that a leaf enumerates. One lives as long as the leaf, the total as long as the cube.
+pub(super) trait Visitor<L: Lanes, W: Width> {
+    /// Whether it looks at the material of the stock: then points are enumerated where that varies, too.
+    const STOCK: bool;
+    type Total;
+
+    fn new(lanes: L) -> Self;
+    /// A point, and which of its octants are inside the union before and after the cube, and inside the stock.
+    fn visit(&mut self, lanes: L, at: [i32; 3], before: u8, after: u8, material: u8);
+    /// There are no more points of this z.
+    fn end_plane(&mut self, z: i32, total: &mut Self::Total);
+    /// There are no more points.
+    fn end_leaf(self, lanes: L, total: &mut Self::Total);
+    /// There are no more leaves.
+    fn end(total: &mut Self::Total);
+}
+
+/// Looks at a box of points near which there are few cubes.
+pub(super) struct Leaf<'a, L: Columns<W::Coordinate>, W: Width, V: Visitor<L, W>> {
+    pub(super) plan: &'a mut Plan<L, W>,
+    pub(super) list: List,
+    pub(super) points: Span,
+    pub(super) total: &'a mut V::Total,
+}
 
 impl<L: Columns<W::Coordinate>, W: Width, V: Visitor<L, W>> Task for Leaf<'_, L, W, V> {
     type Output = ();
 
     #[inline(always)]
     fn run(self) {
-        let Part {
+        let Self {
             plan,
             list,
             points,
             total,
-        } = self.0;
+        } = self;
         let lanes = plan.lanes;
         plan.clip(list, &points);
         let points = plan.boxed(&points);
@@ -283,15 +303,15 @@ impl<L: Columns<W::Coordinate>, W: Width> Plan<L, W> {
         };
 
         let mut visitor = V::new(lanes);
-        let mut lower = Shape::new(lanes, before, newly, 0, after);
+        let mut lower = Layer::new(lanes, before, newly, 0, after);
         for z in 0..planes.cells - 1 {
-            let upper = Shape::new(lanes, before, newly, z + 1, after);
+            let upper = Layer::new(lanes, before, newly, z + 1, after);
             let near = lanes.or(newly[z], newly[z + 1]);
             if lanes.is_empty(near) || valid_z >> z & 1 == 0 {
                 lower = upper;
                 continue;
             }
-            let vertices = Shape::vertices::<V, W>(lanes, &lower, &upper, &material, z);
+            let vertices = Layer::vertices::<V, W>(lanes, &lower, &upper, &material, z);
             let vertices = lanes.and(vertices, lanes.and(dilated(lanes, near), valid));
             lower = upper;
             if lanes.is_empty(vertices) {
@@ -348,14 +368,14 @@ impl<L: Columns<W::Coordinate>, W: Width> Plan<L, W> {
 }
 
 /// A layer of cells before and after: where the neighbour along an axis differs in one of the two.
-struct Shape<L: Lanes> {
+struct Layer<L: Lanes> {
     before: L::Rows,
     after: L::Rows,
     varies_x: L::Rows,
     varies_y: L::Rows,
 }
 
-impl<L: Lanes> Shape<L> {
+impl<L: Lanes> Layer<L> {
     /// The layer at `z`; what it is after is noted.
     #[inline(always)]
     fn new(

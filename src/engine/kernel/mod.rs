@@ -7,10 +7,12 @@
 //!   divide    takes the points apart, until few cubes are near
 //!   leaf      enumerates those that count: point, octants before, octants after
 //!   sums      weighs them: measures in local coordinates, then in the scene's
+//!   plan      the working memory of all three, and its registers
+//!   width     how wide the integers are
 //!   span      boxes
 //! ```
 //!
-//! One plan for all instructions (see `lanes`) and for three widths of integers (see [`sums::Width`]).
+//! One algorithm for all instructions (see `lanes`) and for three widths of integers (see `width`).
 //! # Source
 //! The local formulas are UNION3's (W. R. Franklin); evaluated once a cube instead of once a grid cell.
 
@@ -21,8 +23,10 @@
 
 mod divide;
 mod leaf;
+mod plan;
 mod span;
 mod sums;
+mod width;
 
 use std::fmt::Debug;
 
@@ -30,9 +34,12 @@ use crate::geometry::{Bounds, Edge, Measures, Place, Stock, StockMeasures, Total
 
 use super::lanes::{Avx2, Columns, OnLanes, avx2, run_on};
 use super::neighbours::Neighbours;
-use divide::{Plan, Start};
+use divide::Start;
+use leaf::Visitor;
+use plan::Plan;
 pub(super) use span::Span;
-use sums::{AcrossStock, InsideStock, Middle, Narrow, OfUnion, Sums, Total, Visitor, Wide, Width};
+use sums::{AcrossStock, InsideStock, OfUnion, Sums, Total};
+use width::{Middle, Narrow, Wide, Width};
 
 /// Measures of a union, and of the two parts of the stock if there is one.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
@@ -95,33 +102,29 @@ impl Kernel {
     /// F(S + c) - F(S) for the cube at `place`, where S is given by those of its cubes that touch c: see [`Self::add_to`].
     /// False when c changes nothing: it is covered.
     pub(super) fn marginal(&mut self, place: Place, neighbours: &Neighbours) -> bool {
-        self.difference(place, neighbours, false)
+        let stock = self.begin(place);
+        self.marginal.difference(neighbours, stock.as_ref())
     }
 
-    /// The same, with closed boxes, in scene coordinates, that together contain c minus S. None when c is covered.
+    /// The same, with closed boxes, in scene coordinates, that together contain c minus S: none when c is covered.
     pub(super) fn uncovered(
         &mut self,
         place: Place,
         neighbours: &Neighbours,
         boxes: &mut Vec<Span>,
     ) -> bool {
-        let changes = self.difference(place, neighbours, true);
+        let stock = self.begin(place);
+        let (changes, uncovered) = self.marginal.uncovered(neighbours, stock.as_ref());
         let corner = place.corner();
         boxes.clear();
-        boxes.extend(
-            self.marginal
-                .uncovered()
-                .iter()
-                .map(|span| span.moved(corner)),
-        );
+        boxes.extend(uncovered.iter().map(|span| span.moved(corner)));
         changes
     }
 
-    fn difference(&mut self, place: Place, neighbours: &Neighbours, collect: bool) -> bool {
+    /// Makes a cube the last one; the stock, seen from it.
+    fn begin(&mut self, place: Place) -> Option<Span> {
         self.corner = place.corner();
-        let stock = self.stock.map(|stock| Span::local(&stock, place));
-        self.marginal
-            .difference(neighbours, stock.as_ref(), collect)
+        self.stock.map(|stock| Span::local(&stock, place))
     }
 
     /// The sum of no cubes.
@@ -172,11 +175,11 @@ impl Clone for Kernel {
 /// A kernel of some width, on some lanes.
 trait Marginal: Debug + Send + Sync {
     /// Finds what a cube changes, given its neighbours and the stock in its coordinates; false when nothing.
-    fn difference(&mut self, neighbours: &Neighbours, stock: Option<&Span>, collect: bool) -> bool;
+    fn difference(&mut self, neighbours: &Neighbours, stock: Option<&Span>) -> bool;
+    /// The same, with boxes around what the cube newly covers.
+    fn uncovered(&mut self, neighbours: &Neighbours, stock: Option<&Span>) -> (bool, &[Span]);
     /// The volume that the last cube adds to the union.
     fn volume(&self) -> i128;
-    /// Boxes around what the last cube newly covers, if they were to be collected.
-    fn uncovered(&self) -> &[Span];
     fn add_to(&self, corner: [i32; 3], union: &mut Measures, stock: Option<&mut StockMeasures>);
     fn retract_from(
         &self,
@@ -239,6 +242,31 @@ impl<L: Columns<W::Coordinate>, W: Width> Evaluation<L, W> {
         }
     }
 
+    /// Finds what a cube changes.
+    #[inline]
+    fn find(&mut self, neighbours: &Neighbours, stock: Option<&Span>) -> bool {
+        self.plan.uncovered.clear();
+        let cube = Span::cube([0; 3], self.plan.edge);
+        self.stocked = match stock {
+            Some(stock) if stock.contains(&cube.grown()) => Stocked::Around,
+            Some(stock) if cube.clamped(stock).is_solid() => Stocked::Across,
+            Some(_) | None => Stocked::Nowhere,
+        };
+        let is_alone = neighbours.len == 0;
+        match (self.stocked, stock) {
+            (Stocked::Across, Some(stock)) => {
+                self.plan.stock = self.plan.boxed(&stock.clamped(&cube.grown()));
+                self.evaluate::<AcrossStock<L, W>>(neighbours)
+            }
+            (Stocked::Around, _) if is_alone => {
+                self.evaluate_alone::<InsideStock<L, W>>(neighbours, 1)
+            }
+            (Stocked::Around, _) => self.evaluate::<InsideStock<L, W>>(neighbours),
+            _ if is_alone => self.evaluate_alone::<OfUnion<L, W>>(neighbours, 0),
+            _ => self.evaluate::<OfUnion<L, W>>(neighbours),
+        }
+    }
+
     fn evaluate<V: Visitor<L, W, Total = Total<W>>>(&mut self, neighbours: &Neighbours) -> bool {
         for sums in &mut self.sums {
             *sums = Sums::default();
@@ -294,36 +322,19 @@ impl<L: Columns<W::Coordinate>, W: Width> Evaluation<L, W> {
 }
 
 impl<L: Columns<W::Coordinate>, W: Width> Marginal for Evaluation<L, W> {
-    fn difference(&mut self, neighbours: &Neighbours, stock: Option<&Span>, collect: bool) -> bool {
-        self.plan.collect = collect;
-        self.plan.uncovered.clear();
-        let cube = Span::cube([0; 3], self.plan.edge);
-        self.stocked = match stock {
-            Some(stock) if stock.contains(&cube.grown()) => Stocked::Around,
-            Some(stock) if cube.clamped(stock).is_solid() => Stocked::Across,
-            Some(_) | None => Stocked::Nowhere,
-        };
-        let is_alone = neighbours.len == 0;
-        match (self.stocked, stock) {
-            (Stocked::Across, Some(stock)) => {
-                self.plan.stock = self.plan.boxed(&stock.clamped(&cube.grown()));
-                self.evaluate::<AcrossStock<L, W>>(neighbours)
-            }
-            (Stocked::Around, _) if is_alone => {
-                self.evaluate_alone::<InsideStock<L, W>>(neighbours, 1)
-            }
-            (Stocked::Around, _) => self.evaluate::<InsideStock<L, W>>(neighbours),
-            _ if is_alone => self.evaluate_alone::<OfUnion<L, W>>(neighbours, 0),
-            _ => self.evaluate::<OfUnion<L, W>>(neighbours),
-        }
+    fn difference(&mut self, neighbours: &Neighbours, stock: Option<&Span>) -> bool {
+        self.plan.collect = false;
+        self.find(neighbours, stock)
+    }
+
+    fn uncovered(&mut self, neighbours: &Neighbours, stock: Option<&Span>) -> (bool, &[Span]) {
+        self.plan.collect = true;
+        let changes = self.find(neighbours, stock);
+        (changes, &self.plan.uncovered)
     }
 
     fn volume(&self) -> i128 {
         self.sums[0].volume()
-    }
-
-    fn uncovered(&self) -> &[Span] {
-        &self.plan.uncovered
     }
 
     fn add_to(&self, corner: [i32; 3], union: &mut Measures, stock: Option<&mut StockMeasures>) {
@@ -343,3 +354,6 @@ impl<L: Columns<W::Coordinate>, W: Width> Marginal for Evaluation<L, W> {
         Box::new(self.clone())
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -5,147 +5,24 @@
 //! the edge and a difference lies inside the cube:
 //!
 //! ```text
-//!   second moments, in the forms kept      L^5            Width::Sum        asserted below for each width
+//!   second moments, in the forms kept      L^5            Width::Sum        asserted for each width in `width`
 //!   the same over one plane across z       2 L^4          Width::Plane
-//!   areas of a leaf, lengths of a leaf     15^2 L^2, ..   64 and 32 bits    asserted below
+//!   areas of a leaf, lengths of a leaf     15^2 L^2, ..   64 and 32 bits
 //!   second moments in the scene            2^157          Width::Moved      or less where L is small
 //! ```
 
-use std::fmt::Debug;
-
 use ethnum::I256;
 
-use crate::engine::lanes::{Coordinate, Lanes};
-use crate::geometry::{COORDINATE_MAX, EDGE_MAX, EdgeKind, Measures, WEIGHTS};
-
-/// A ring of integers modulo a power of two.
-pub(super) trait Ring: Copy + Default + PartialEq + Debug + Send + Sync {
-    fn plus(self, other: Self) -> Self;
-    fn minus(self, other: Self) -> Self;
-    fn times(self, other: Self) -> Self;
-}
-
-macro_rules! ring {
-    ($($integer:ty),*) => {$(
-        impl Ring for $integer {
-            #[inline(always)]
-            fn plus(self, other: Self) -> Self {
-                self.wrapping_add(other)
-            }
-            #[inline(always)]
-            fn minus(self, other: Self) -> Self {
-                self.wrapping_sub(other)
-            }
-            #[inline(always)]
-            fn times(self, other: Self) -> Self {
-                self.wrapping_mul(other)
-            }
-        }
-    )*};
-}
-
-ring!(i64, i128, I256);
-
-/// How wide the integers are that edges of up to some length need.
-pub(super) trait Width: Copy + Debug + Default + Send + Sync + 'static {
-    /// The greatest edge. Units: steps.
-    const STEPS_MAX: i32;
-    /// Coordinates near a cube, negated too.
-    type Coordinate: Coordinate;
-    /// Sums over the points of one plane across z.
-    type Plane: Ring + From<i64>;
-    /// Sums over the points of a cube.
-    type Sum: Ring + From<i64> + From<Self::Plane> + Into<i128>;
-    /// The same in the scene's coordinates.
-    type Moved: Ring + From<i64> + From<Self::Sum> + Into<I256>;
-    /// Few enough clips for a leaf: each has at most one plane an axis that is none of the cube's own, and those are two more.
-    const LEAF_CLIPS: usize;
-}
-
-/// For edges of up to 6208 steps.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Narrow;
-
-impl Width for Narrow {
-    const STEPS_MAX: i32 = 6208;
-    type Coordinate = i16;
-    type Plane = i64;
-    type Sum = i64;
-    type Moved = i128;
-    const LEAF_CLIPS: usize = 13;
-}
-
-/// For edges of up to 32766 steps.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Middle;
-
-impl Width for Middle {
-    const STEPS_MAX: i32 = 32_766;
-    type Coordinate = i16;
-    type Plane = i64;
-    type Sum = i128;
-    type Moved = i128;
-    const LEAF_CLIPS: usize = 13;
-}
-
-/// For every edge.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Wide;
-
-impl Width for Wide {
-    const STEPS_MAX: i32 = EDGE_MAX.cast_signed();
-    type Coordinate = i32;
-    type Plane = i128;
-    type Sum = i128;
-    type Moved = I256;
-    const LEAF_CLIPS: usize = 9;
-}
-
-/// What a width rests on.
-const fn fits<W: Width>(coordinate_bits: u32, plane_bits: u32, sum_bits: u32, moved_bits: u32) {
-    let edge = W::STEPS_MAX.cast_unsigned() as u128;
-    let planes = W::LEAF_CLIPS as u128 + 2;
-    // The frame of a cube, and the offset that is nowhere.
-    assert!(edge + 1 < 1 << (coordinate_bits - 1));
-    assert!(2 * edge.pow(4) < 1 << (plane_bits - 1));
-    assert!(edge.pow(5) < 1 << (sum_bits - 1));
-    // Volume times three or four squares of coordinates is the greatest term.
-    assert!(3 * (edge.ilog2() + 1) + 2 * COORDINATE_MAX.ilog2() + 3 < moved_bits);
-    // Lengths of a leaf: on each line along an axis at most an edge of the cube, of each kind.
-    assert!(planes.pow(2) * edge < 1 << 31);
-    // A weight of area or volume times a coordinate.
-    assert!(8 * (edge + 1) < 1 << 31);
-    assert!(planes * edge.pow(2) < 1 << 63);
-}
-
-const _: () = {
-    fits::<Narrow>(16, 64, 64, 128);
-    fits::<Middle>(16, 64, 128, 128);
-    fits::<Wide>(32, 128, 128, 256);
-};
-
-/// What is done with the points that a leaf enumerates. One lives as long as the leaf, the total as long as the cube.
-pub(super) trait Visitor<L: Lanes, W: Width> {
-    /// Whether it looks at the material of the stock: then points are enumerated where that varies, too.
-    const STOCK: bool;
-    type Total;
-
-    fn new(lanes: L) -> Self;
-    /// A point, and which of its octants are inside the union before and after the cube, and inside the stock.
-    fn visit(&mut self, lanes: L, at: [i32; 3], before: u8, after: u8, material: u8);
-    /// There are no more points of this z.
-    fn end_plane(&mut self, z: i32, total: &mut Self::Total);
-    /// There are no more points.
-    fn end_leaf(self, lanes: L, total: &mut Self::Total);
-    /// There are no more leaves.
-    fn end(total: &mut Self::Total);
-}
+use super::leaf::Visitor;
+use super::width::{Ring, Width};
+use crate::engine::lanes::Lanes;
+use crate::geometry::{EdgeKind, Measures, WEIGHTS};
 
 /// The sums of the union and of two parts of the stock: what is removed from it, and what remains.
 pub(super) type Total<W> = [Sums<W>; 3];
 
 /// Sums up the union alone.
-pub(super) struct OfUnion<L: Lanes, W: Width>(Part<L, W>);
+pub(super) struct OfUnion<L: Lanes, W: Width>(LeafSums<L, W>);
 
 impl<L: Lanes, W: Width> Visitor<L, W> for OfUnion<L, W> {
     const STOCK: bool = false;
@@ -153,7 +30,7 @@ impl<L: Lanes, W: Width> Visitor<L, W> for OfUnion<L, W> {
 
     #[inline(always)]
     fn new(lanes: L) -> Self {
-        Self(Part::new(lanes))
+        Self(LeafSums::new(lanes))
     }
 
     #[inline(always)]
@@ -178,7 +55,7 @@ impl<L: Lanes, W: Width> Visitor<L, W> for OfUnion<L, W> {
 /// Sums up the union where the stock lies all around the cube: what comes to the union is removed from the stock, and what
 /// remains loses as much; only its Euler characteristic and vertices need a look at the points.
 pub(super) struct InsideStock<L: Lanes, W: Width> {
-    union: Part<L, W>,
+    union: LeafSums<L, W>,
     /// As [`Row::counts`].
     remaining_counts: L::Eight,
 }
@@ -190,7 +67,7 @@ impl<L: Lanes, W: Width> Visitor<L, W> for InsideStock<L, W> {
     #[inline(always)]
     fn new(lanes: L) -> Self {
         Self {
-            union: Part::new(lanes),
+            union: LeafSums::new(lanes),
             remaining_counts: lanes.every_eight(0),
         }
     }
@@ -231,7 +108,7 @@ impl<L: Lanes, W: Width> Visitor<L, W> for InsideStock<L, W> {
 }
 
 /// Sums up the union and both parts of the stock where a face of the stock is near.
-pub(super) struct AcrossStock<L: Lanes, W: Width>([Part<L, W>; 3]);
+pub(super) struct AcrossStock<L: Lanes, W: Width>([LeafSums<L, W>; 3]);
 
 impl<L: Lanes, W: Width> Visitor<L, W> for AcrossStock<L, W> {
     const STOCK: bool = true;
@@ -239,7 +116,11 @@ impl<L: Lanes, W: Width> Visitor<L, W> for AcrossStock<L, W> {
 
     #[inline(always)]
     fn new(lanes: L) -> Self {
-        Self([Part::new(lanes), Part::new(lanes), Part::new(lanes)])
+        Self([
+            LeafSums::new(lanes),
+            LeafSums::new(lanes),
+            LeafSums::new(lanes),
+        ])
     }
 
     #[inline(always)]
@@ -356,7 +237,7 @@ impl<L: Lanes> Point<L> {
 }
 
 /// Sums over the points of a leaf, for the union or for a part of the stock.
-struct Part<L: Lanes, W: Width> {
+struct LeafSums<L: Lanes, W: Width> {
     /// As [`Row::edges`] and [`Row::counts`], times the coordinate along the edge.
     edges: L::Eight,
     counts: L::Eight,
@@ -376,7 +257,7 @@ struct PlaneSums<T> {
     xxyy: T,
 }
 
-impl<L: Lanes, W: Width> Part<L, W> {
+impl<L: Lanes, W: Width> LeafSums<L, W> {
     #[inline(always)]
     fn new(lanes: L) -> Self {
         Self {

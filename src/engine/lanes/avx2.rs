@@ -27,17 +27,25 @@ use super::{Columns, LANES, Lanes, Task, WORDS};
 #[derive(Clone, Copy, Debug)]
 pub(in crate::engine) struct Avx2(());
 
-impl Avx2 {
-    /// The right, on a processor that has them.
-    pub(in crate::engine) fn detect() -> Option<Self> {
-        let found = is_x86_feature_detected!("avx2")
-            && is_x86_feature_detected!("bmi1")
-            && is_x86_feature_detected!("bmi2")
-            && is_x86_feature_detected!("lzcnt")
-            && is_x86_feature_detected!("popcnt");
-        found.then_some(Self(()))
-    }
+/// What is detected, and what tasks are compiled for.
+macro_rules! features {
+    ($($feature:tt)*) => {
+        impl Avx2 {
+            /// The right, on a processor that has them.
+            pub(in crate::engine) fn detect() -> Option<Self> {
+                let found = $(is_x86_feature_detected!($feature))&&*;
+                found.then_some(Self(()))
+            }
+        }
+
+        $(#[target_feature(enable = $feature)])*
+        fn compiled<T: Task>(task: T) -> T::Output {
+            task.run()
+        }
+    };
 }
+
+features!("avx2" "bmi1" "bmi2" "lzcnt" "popcnt");
 
 /// For each set of eight lanes their numbers, the set ones first, each as so many bytes of a lane.
 #[expect(
@@ -146,10 +154,6 @@ impl Lanes for Avx2 {
 
     #[inline(always)]
     fn run<T: Task>(self, task: T) -> T::Output {
-        #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
-        fn compiled<T: Task>(task: T) -> T::Output {
-            task.run()
-        }
         #[expect(unsafe_code, reason = "compiled for instructions that were detected")]
         // SAFETY: the receiver is the proof that the processor has all of them.
         unsafe {

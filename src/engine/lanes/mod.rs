@@ -10,6 +10,9 @@
 //! have its instructions. A loop becomes theirs by [`Lanes::run`]; everything below it must be inlined into it (`inline(always)`, plain
 //! loops, no closures that do work), for what is left as a call is compiled for the least processor.
 //!
+//! There is none for AVX-512: a leaf's 16 rows of 16 bits are one register of AVX2, so wider ones would need wider leaves, which are
+//! mostly empty; and no processor that this was written on has it, so that nothing could be measured.
+//!
 //! The portable implementation is always there, and is the reference that the tests compare the other with.
 //! # Source
 //! The shape is that of memchr's `Vector` and box2d's `b2FloatW`: one algorithm over a few operations.
@@ -123,7 +126,7 @@ pub(super) trait Lanes: Copy + Debug + Send + Sync + 'static {
     fn eight(self, integers: &[i32; WORDS]) -> Self::Eight;
     fn eight_array(self, integers: Self::Eight) -> [i32; WORDS];
     fn every_eight(self, integer: i32) -> Self::Eight;
-    /// The lanes of `other` whose bits are set in `LANES`, and those of `one` elsewhere.
+    /// The lanes of `other` whose bits are set in `OTHER`, and those of `one` elsewhere.
     fn mix_eight<const OTHER: i32>(self, one: Self::Eight, other: Self::Eight) -> Self::Eight;
     fn plus_eight(self, one: Self::Eight, other: Self::Eight) -> Self::Eight;
     fn minus_eight(self, one: Self::Eight, other: Self::Eight) -> Self::Eight;
@@ -203,7 +206,7 @@ pub(super) trait Columns<C: Coordinate>: Lanes {
     fn joined(self, halves: [Self::Corner; 2]) -> Self::Boxed;
 
     fn every_corner(self, coordinate: C) -> Self::Corner;
-    /// The nearest that fits the width.
+    /// The nearest that fits in 16 bits; in 32 bits, from whose ends all coordinates are far, the difference itself.
     fn corner_minus(self, one: Self::Corner, other: Self::Corner) -> Self::Corner;
     fn lesser_corner(self, one: Self::Corner, other: Self::Corner) -> Self::Corner;
     fn greater_corner(self, one: Self::Corner, other: Self::Corner) -> Self::Corner;

@@ -4,8 +4,8 @@
 
 use ethnum::I256;
 
+use super::numbers::float;
 use super::settings::Settings;
-use super::units::float;
 use crate::geometry::{COORDINATE_MAX, Measures};
 
 /// Centre of mass of a set that is not empty, in user units.

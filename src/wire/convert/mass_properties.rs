@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::derived::{centroid, inertia};
+use super::numbers::float;
 use super::settings::Settings;
-use super::units::float;
 use crate::geometry::{Bounds, EdgeKind, Measures, Totals, VertexKind};
 
 /// Lengths of the union's edges, in user units, each edge counted once as a set of points.

@@ -3,10 +3,12 @@
 mod derived;
 mod mass_properties;
 mod motion;
+mod numbers;
 mod settings;
 #[cfg(test)]
 mod tests;
 mod units;
+mod wanted;
 
 pub(in crate::wire) use self::derived::float256;
 pub use self::mass_properties::{
@@ -16,9 +18,10 @@ pub use self::mass_properties::{
 pub use self::motion::{
     DURATION_SECONDS_MAX, Removal, duration_ns, duration_user, removal, removal_rate,
 };
-pub use self::settings::{
-    Anchor, DENSITY_MAX, InvalidSetting, Rounding, STEPS_PER_UNIT_MAX, Settings, SettingsDocument,
-    StockDocument, UNIT_BYTES_MAX,
-};
+pub(in crate::wire) use self::numbers::{OFF_LATTICE_MAX, float, nearest, whole};
+pub use self::settings::{Anchor, Rounding, Settings};
 pub use self::units::InvalidCoordinate;
-pub(in crate::wire) use self::units::{OFF_LATTICE_MAX, float, nearest, whole};
+pub use self::wanted::{
+    DENSITY_MAX, InvalidSetting, STEPS_PER_UNIT_MAX, SettingsDocument, StockDocument,
+    UNIT_BYTES_MAX,
+};

@@ -4,15 +4,16 @@
 //!   request ── id, trace, measure ── compress ── problems only ── panics ── drain ── bounded time ── handler
 //! ```
 
-pub(in crate::wire) mod changes;
-pub(in crate::wire) mod cubes;
+mod changes;
+mod cubes;
 mod drain;
-pub(in crate::wire) mod history;
+mod history;
 mod ndjson;
-pub(in crate::wire) mod operate;
-pub(in crate::wire) mod reads;
+mod openapi;
+mod operate;
+mod reads;
 mod request;
-pub(in crate::wire) mod scenes;
+mod scenes;
 
 use std::any::Any;
 use std::time::{Duration, Instant};
@@ -76,7 +77,8 @@ type Route = (&'static str, MethodRouter<App>);
 fn bounded_routes() -> Vec<Route> {
     use cubes::{get_contains, get_cube, get_cubes};
     use history::get_history;
-    use operate::{get_healthz, get_metrics, get_openapi, get_problem, get_problems, get_readyz};
+    use openapi::get_openapi;
+    use operate::{get_healthz, get_metrics, get_problem, get_problems, get_readyz};
     use reads::get_mass_properties;
     use scenes::{delete_scene, get_scene, get_scenes, put_scene};
     vec![

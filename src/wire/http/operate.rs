@@ -1,4 +1,4 @@
-//! Calls for those who run the service: health, readiness, metrics, and the description of the API.
+//! Calls for those who run the service: health, readiness, metrics, and what the types of problems mean.
 
 use std::sync::OnceLock;
 
@@ -13,7 +13,6 @@ use utoipa::ToSchema;
 use super::App;
 use super::request::Path;
 use crate::service::{AnyScene, Readiness, SceneState};
-use crate::wire::openapi;
 use crate::wire::problem::{Code, KINDS, Kind, Problem};
 
 /// Upper bounds of the histograms, all of which are of times, in seconds.
@@ -153,14 +152,6 @@ fn count_scenes(app: &App) {
     }
     metrics::gauge!("union3d_cubes").set(cubes);
     metrics::gauge!("union3d_solids").set(solids);
-}
-
-/// This description, OpenAPI 3.1
-#[utoipa::path(get, path = "/openapi.json", tag = "operation",
-    responses((status = 200, description = "The description", body = Object)))]
-pub(super) async fn get_openapi() -> Response {
-    let kind = [(header::CONTENT_TYPE, "application/json")];
-    (kind, openapi::text()).into_response()
 }
 
 /// What the types of problems mean.

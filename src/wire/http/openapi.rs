@@ -5,6 +5,8 @@
 use std::collections::BTreeMap;
 use std::sync::OnceLock;
 
+use axum::http::header;
+use axum::response::{IntoResponse, Response};
 use serde_json::{Map, Value, json};
 use utoipa::openapi::path::Operation;
 use utoipa::openapi::{
@@ -13,8 +15,8 @@ use utoipa::openapi::{
 };
 use utoipa::{Modify, OpenApi};
 
-use super::http::{changes, cubes, history, operate, reads, scenes};
-use super::problem::{Code, Kind, ProblemDocument};
+use super::{changes, cubes, history, operate, reads, scenes};
+use crate::wire::problem::{Code, Kind, ProblemDocument};
 
 #[derive(OpenApi)]
 #[openapi(
@@ -28,7 +30,7 @@ use super::problem::{Code, Kind, ProblemDocument};
         changes::post_changes, changes::post_revert, changes::delete_cube,
         reads::get_mass_properties, reads::stream_mass_properties, history::get_history, reads::post_audit,
         cubes::get_cube, cubes::get_cubes, cubes::get_contains,
-        operate::get_healthz, operate::get_readyz, operate::get_metrics, operate::get_openapi,
+        operate::get_healthz, operate::get_readyz, operate::get_metrics, get_openapi,
         operate::get_problems, operate::get_problem,
     ),
     components(schemas(ProblemDocument)),
@@ -43,8 +45,16 @@ use super::problem::{Code, Kind, ProblemDocument};
 )]
 struct Description;
 
+/// This description, OpenAPI 3.1
+#[utoipa::path(get, path = "/openapi.json", tag = "operation",
+    responses((status = 200, description = "The description", body = Object)))]
+pub(super) async fn get_openapi() -> Response {
+    let kind = [(header::CONTENT_TYPE, "application/json")];
+    (kind, text()).into_response()
+}
+
 /// The description as text.
-pub(super) fn text() -> &'static str {
+fn text() -> &'static str {
     static TEXT: OnceLock<String> = OnceLock::new();
     TEXT.get_or_init(|| {
         let description = serde_json::to_value(Description::openapi());
