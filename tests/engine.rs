@@ -488,8 +488,8 @@ fn every_edge_agrees_with_a_plain_engine() {
     }
 }
 
-/// Every width of the kernel's integers in few steps, one by one and in batches, with a stock near and without: short enough for
-/// valgrind, which watches what the lanes read (`tests/memcheck`).
+/// Every width of the kernel's integers in few steps, one by one and in batches, with a stock near and without, against an engine
+/// that takes the widest ones on portable lanes: short enough for valgrind, which watches what the lanes read (`tests/memcheck`).
 #[test]
 fn short_histories_of_every_width_agree_with_a_plain_engine() {
     for (seed, steps) in [50, 20_000, 1 << 20].into_iter().enumerate() {

@@ -1,54 +1,54 @@
-//! The table of ids in a change so large that whole parts of it are made anew.
+//! The table of ids in a change so large that whole shards of it are made anew.
 //!
 //! ```text
-//!   cubes ──> by part, in their order ──> some parts at a time:   made beside what they were, on every thread (a look)
+//!   cubes ──> by shard, in their order ──> some shards at a time:   made beside what they were, on every thread (a look)
 //!                                                                 put in place of what they were (a step)
 //! ```
 //!
-//! A part fits a processor's cache where the table does not, so that this pays on one thread too.
+//! A shard fits a processor's cache where the table does not, so that this pays on one thread too.
 
 use crate::geometry::{CUBES_MAX, CubeId, Effect, Place};
 
 use super::Engine;
 use super::access::Access;
 use super::batch::Helper;
-use super::ids::{IdTable, PARTS};
+use super::ids::{IdTable, SHARDS};
 use super::parallel::in_parallel;
 use super::prefetch::{AHEAD, prefetch};
 
-/// Changes a part, on average, from which on it pays to start threads.
+/// Changes a shard, on average, from which on it pays to start threads.
 const CHANGES_MIN: usize = 1024;
 
 /// How many cubes of the table may be copied for each one that is changed.
 const COPIES_MAX: usize = 4;
 
-/// Parts that are there twice at one time.
-const PARTS_AT_ONCE: usize = 8;
+/// Shards that are there twice at one time.
+const SHARDS_AT_ONCE: usize = 8;
 
-/// Cubes of a change, and which of them belong to each part, in their order: a list for each thread that put them in order.
-struct ByPart<'a> {
+/// Cubes of a change, and which of them belong to each shard, in their order: a list for each thread that put them in order.
+struct ByShard<'a> {
     cubes: &'a [(CubeId, Place)],
     indices: Vec<Vec<Vec<u32>>>,
 }
 
-impl ByPart<'_> {
-    fn of<'a>(cubes: &'a [(CubeId, Place)], helpers: &mut [Helper]) -> ByPart<'a> {
+impl ByShard<'_> {
+    fn of<'a>(cubes: &'a [(CubeId, Place)], helpers: &mut [Helper]) -> ByShard<'a> {
         let size = cubes.len().div_ceil(helpers.len()).max(1);
         let indices = in_parallel(helpers, |number, _| {
-            // Parts do not fill alike: a sixteenth more is enough, nearly always.
-            let room = size / PARTS + size / PARTS / 16;
-            let mut indices: Vec<_> = (0..PARTS).map(|_| Vec::with_capacity(room)).collect();
+            // Shards do not fill alike: a sixteenth more is enough, nearly always.
+            let room = size / SHARDS + size / SHARDS / 16;
+            let mut indices: Vec<_> = (0..SHARDS).map(|_| Vec::with_capacity(room)).collect();
             for (index, (id, _)) in (0..).zip(cubes).skip(number * size).take(size) {
-                indices[IdTable::part_of(*id)].push(index);
+                indices[IdTable::shard_of(*id)].push(index);
             }
             indices
         });
-        ByPart { cubes, indices }
+        ByShard { cubes, indices }
     }
 
-    /// The cubes of a part.
-    fn part(&self, part: usize) -> Vec<(CubeId, Place)> {
-        let lists = || self.indices.iter().map(|indices| &indices[part]);
+    /// The cubes of a shard.
+    fn shard(&self, shard: usize) -> Vec<(CubeId, Place)> {
+        let lists = || self.indices.iter().map(|indices| &indices[shard]);
         let mut cubes = Vec::with_capacity(lists().map(Vec::len).sum());
         for indices in lists() {
             for (at, index) in indices.iter().enumerate() {
@@ -64,9 +64,9 @@ impl ByPart<'_> {
 
 impl Engine {
     /// Whether an effect is so large that [`change_ids`] pays, and certain not to bring more cubes than there may be.
-    pub(super) fn changes_whole_parts(&self, effect: &Effect) -> bool {
+    pub(super) fn changes_whole_shards(&self, effect: &Effect) -> bool {
         let changes = effect.deleted.len() + effect.inserted.len();
-        let is_large = changes >= PARTS * CHANGES_MIN && changes >= self.ids.len() / COPIES_MAX;
+        let is_large = changes >= SHARDS * CHANGES_MIN && changes >= self.ids.len() / COPIES_MAX;
         is_large && (self.ids.len() + effect.inserted.len()) as u64 <= CUBES_MAX
     }
 }
@@ -78,19 +78,19 @@ pub(super) fn change_ids(access: &impl Access, effect: &Effect) -> bool {
     let size = access.look(|engine| engine.cubes_a_thread(count));
     let helping = &mut helpers[..count.div_ceil(size)];
     let [deleted, inserted] =
-        [&effect.deleted, &effect.inserted].map(|cubes| ByPart::of(cubes, helping));
-    let parts: Vec<usize> = (0..PARTS).collect();
+        [&effect.deleted, &effect.inserted].map(|cubes| ByShard::of(cubes, helping));
+    let shards: Vec<usize> = (0..SHARDS).collect();
     let mut done = 0;
-    for some in parts.chunks(PARTS_AT_ONCE) {
-        if !change_parts(access, helping, some, &deleted, &inserted) {
+    for some in shards.chunks(SHARDS_AT_ONCE) {
+        if !change_shards(access, helping, some, &deleted, &inserted) {
             break;
         }
         done += some.len();
     }
-    let fits = done == PARTS;
+    let fits = done == SHARDS;
     if !fits {
-        for some in parts[..done].chunks(PARTS_AT_ONCE) {
-            let undone = change_parts(access, helping, some, &inserted, &deleted);
+        for some in shards[..done].chunks(SHARDS_AT_ONCE) {
+            let undone = change_shards(access, helping, some, &inserted, &deleted);
             assert!(undone, "it was the other way a moment ago");
         }
     }
@@ -98,21 +98,21 @@ pub(super) fn change_ids(access: &impl Access, effect: &Effect) -> bool {
     fits
 }
 
-/// Changes some parts; false, and nothing done, when a cube does not fit.
-fn change_parts(
+/// Changes some shards; false, and nothing done, when a cube does not fit.
+fn change_shards(
     access: &impl Access,
     helpers: &mut [Helper],
-    parts: &[usize],
-    deleted: &ByPart<'_>,
-    inserted: &ByPart<'_>,
+    shards: &[usize],
+    deleted: &ByShard<'_>,
+    inserted: &ByShard<'_>,
 ) -> bool {
     let threads = helpers.len();
     let changed = access.look(|engine| {
         in_parallel(helpers, |number, _| {
-            let own = parts.iter().skip(number).step_by(threads);
-            let changed = own.map(|&part| {
-                let (deleted, inserted) = (deleted.part(part), inserted.part(part));
-                Some((part, engine.ids.changed(part, &deleted, &inserted)?))
+            let own = shards.iter().skip(number).step_by(threads);
+            let changed = own.map(|&shard| {
+                let (deleted, inserted) = (deleted.shard(shard), inserted.shard(shard));
+                Some((shard, engine.ids.changed(shard, &deleted, &inserted)?))
             });
             changed.collect::<Option<Vec<_>>>()
         })
@@ -121,8 +121,8 @@ fn change_parts(
         return false;
     };
     access.step(|engine| {
-        for (number, part) in changed.iter_mut().flatten() {
-            engine.ids.swap_part(*number, part);
+        for (number, shard) in changed.iter_mut().flatten() {
+            engine.ids.swap_shard(*number, shard);
         }
     });
     true
@@ -143,14 +143,14 @@ mod tests {
         Place::from_checked([part(0), part(8), part(16)])
     }
 
-    /// Part by part or one by one, on any number of threads, the table is that of a plain map; an effect that does not fit
+    /// Shard by shard or one by one, on any number of threads, the table is that of a plain map; an effect that does not fit
     /// changes nothing.
     #[test]
     fn parts_agree_with_single_ids() {
         for threads in 1..=3 {
             let edge = Edge::new(5).unwrap();
             let threads = NonZero::new(threads).unwrap();
-            let mut by_parts = Engine::new(edge).with_threads(threads);
+            let mut by_shards = Engine::new(edge).with_threads(threads);
             let mut one_by_one = Engine::new(edge);
             let mut map = BTreeMap::new();
             // Thousands, so that every thread has some; fewer and fewer; none.
@@ -167,26 +167,26 @@ mod tests {
                     inserted: inserted.collect(),
                 };
                 for misfit in misfits(&effect, &map) {
-                    let before = listed(&by_parts);
-                    assert!(!change_ids(&RefCell::new(&mut by_parts), &misfit));
-                    assert_eq!(listed(&by_parts), before, "change {change}");
-                    assert_eq!(by_parts.ids.len(), map.len());
+                    let before = listed(&by_shards);
+                    assert!(!change_ids(&RefCell::new(&mut by_shards), &misfit));
+                    assert_eq!(listed(&by_shards), before, "change {change}");
+                    assert_eq!(by_shards.ids.len(), map.len());
                 }
-                assert!(change_ids(&RefCell::new(&mut by_parts), &effect));
+                assert!(change_ids(&RefCell::new(&mut by_shards), &effect));
                 apply_ids(&RefCell::new(&mut one_by_one), &effect).unwrap();
                 for (id, _) in &effect.deleted {
                     map.remove(id);
                 }
                 map.extend(effect.inserted.iter().copied());
-                assert_eq!(listed(&by_parts), listed(&one_by_one), "change {change}");
-                assert_eq!(by_parts.ids.len(), map.len());
+                assert_eq!(listed(&by_shards), listed(&one_by_one), "change {change}");
+                assert_eq!(by_shards.ids.len(), map.len());
                 assert!(
                     map.iter()
-                        .all(|(id, place)| by_parts.get(*id) == Some(*place))
+                        .all(|(id, place)| by_shards.get(*id) == Some(*place))
                 );
             }
             assert_eq!(
-                by_parts.ids.size(),
+                by_shards.ids.size(),
                 one_by_one.ids.size(),
                 "nothing is left"
             );

@@ -130,7 +130,7 @@ impl CoveredCells {
             return;
         }
         let cells = self.inside(&Span::cube(place.corner(), self.edge));
-        cells.each_part(|part| {
+        cells.each_block(|part| {
             let layers = self.blocks.entry(part.block);
             for layer in &mut layers[part.z] {
                 *layer |= part.cells;
@@ -144,7 +144,7 @@ impl CoveredCells {
         if self.state != State::Kept {
             return;
         }
-        self.meeting(uncovered).each_part(|part| {
+        self.meeting(uncovered).each_block(|part| {
             if let Some(layers) = self.blocks.get_mut(part.block) {
                 for layer in &mut layers[part.z] {
                     *layer &= !part.cells;
@@ -163,7 +163,7 @@ impl CoveredCells {
             return false;
         }
         let cells = self.meeting(&Span::cube(place.corner(), self.edge));
-        cells.each_part(|part| {
+        cells.each_block(|part| {
             let layers = self.blocks.get(part.block);
             layers.is_some_and(|layers| {
                 let all = layers[part.z]
@@ -205,7 +205,7 @@ impl CoveredCells {
 }
 
 /// Those of some cells that lie in one block.
-struct Part {
+struct InBlock {
     block: BinKey,
     /// The same in each layer.
     cells: u64,
@@ -215,7 +215,7 @@ struct Part {
 impl Cells {
     /// Calls `visit` with the cells by block, while it answers true; true at the end.
     #[inline]
-    fn each_part(&self, mut visit: impl FnMut(Part) -> bool) -> bool {
+    fn each_block(&self, mut visit: impl FnMut(InBlock) -> bool) -> bool {
         let blocks =
             |axis: usize| self.first[axis].div_euclid(SIDE)..=(self.end[axis] - 1).div_euclid(SIDE);
         let within = |axis: usize, block: i32| {
@@ -231,7 +231,7 @@ impl Cells {
                 // The lowest bit of each row.
                 let rows = every(8, within(1, y)) & 0x0101_0101_0101_0101;
                 for x in blocks(0) {
-                    let part = Part {
+                    let part = InBlock {
                         block: BinKey([x, y, z]),
                         cells: rows * (every(1, within(0, x)) & 0xff),
                         z: layers.start as usize..layers.end as usize,
@@ -254,9 +254,13 @@ fn every(width: u32, groups: Range<u32>) -> u64 {
 }
 
 /// Blocks by where they are: side by side, and a table of where.
+///
+/// The table is open addressing by hand because it takes 5.3 to 8 bytes a block (4 bytes a slot, half to three quarters full). In
+/// hashbrown's `HashTable` the same numbers take 5.7 to 11.4 (5 bytes a slot, 7/16 to 7/8 full, since it only doubles), and the
+/// blocks themselves, kept in it instead of side by side, 88 to 176 for 77 used.
 #[derive(Debug, Default)]
 struct Blocks {
-    /// In the order of no one.
+    /// In no particular order, that of `layers`.
     keys: Vec<BinKey>,
     layers: Vec<Layers>,
     /// Open addressing with linear probing: the number of a block plus one, or 0.

@@ -6,7 +6,7 @@
 //!
 //! ```text
 //!   slot   0    1    2    3    4    5    6   ...
-//!   mix   .03  .04  .21   -   .40  .41  .44        home(mix) = mix * capacity / 2^64, in one of 64 parts
+//!   mix   .03  .04  .21   -   .40  .41  .44        home(mix) = mix * capacity / 2^64, in one of 64 shards
 //! ```
 
 use crate::geometry::{CubeId, Place};
@@ -41,12 +41,12 @@ const EMPTY: Entry = Entry {
 };
 const _: () = assert!(size_of::<Entry>() == 20);
 
-/// Slots behind the last home, so that a run at the end of a part need not wrap around.
+/// Slots behind the last home, so that a run at the end of a shard need not wrap around.
 const TAIL_MAX: usize = 64;
 const CAPACITY_MIN: usize = 4;
 
-/// Parts of the table. Each grows and shrinks alone, so that a pause is a sixty-fourth of what it would be.
-pub(super) const PARTS: usize = 64;
+/// Shards of the table. Each grows and shrinks alone, so that a pause is a sixty-fourth of what it would be.
+pub(super) const SHARDS: usize = 64;
 
 /// So far from its home a cube is looked for slot by slot: most are nearer.
 const STEPS_OF_ONE: usize = 16;
@@ -55,13 +55,13 @@ const STEPS_OF_ONE: usize = 16;
 #[derive(Debug)]
 pub struct IdTable {
     /// By the first bits of the mix, so that the order goes on from one to the next.
-    parts: Box<[Part]>,
+    shards: Box<[Shard]>,
     len: usize,
 }
 
 /// The ids whose mix begins alike.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Part {
+pub(super) struct Shard {
     /// `capacity` homes and a tail; nothing at all when there are no cubes.
     slots: Vec<Entry>,
     capacity: usize,
@@ -78,7 +78,7 @@ impl IdTable {
     /// A table without cubes.
     pub fn new() -> Self {
         Self {
-            parts: vec![Part::default(); PARTS].into_boxed_slice(),
+            shards: vec![Shard::default(); SHARDS].into_boxed_slice(),
             len: 0,
         }
     }
@@ -90,8 +90,8 @@ impl IdTable {
 
     /// Removes all cubes. Keeps the room for about as many, and gives back what is more than four times that.
     pub fn clear(&mut self) {
-        for part in &mut self.parts {
-            part.clear();
+        for shard in &mut self.shards {
+            shard.clear();
         }
         self.len = 0;
     }
@@ -104,24 +104,24 @@ impl IdTable {
     /// Where the cube of this id is. O(1).
     pub fn get(&self, id: CubeId) -> Option<Place> {
         let mixed = mix(id);
-        let part = &self.parts[part_of(mixed)];
-        part.find(mixed).ok().map(|slot| part.slots[slot].place())
+        let shard = &self.shards[shard_of(mixed)];
+        shard.find(mixed).ok().map(|slot| shard.slots[slot].place())
     }
 
     /// Prefetches the slot where the search for an id begins.
     #[inline]
     pub(super) fn prefetch(&self, id: CubeId) {
         let mixed = mix(id);
-        let part = &self.parts[part_of(mixed)];
-        prefetch(&part.slots, part.home(mixed));
+        let shard = &self.shards[shard_of(mixed)];
+        prefetch(&shard.slots, shard.home(mixed));
     }
 
     /// Makes room for about so many more cubes at once, instead of step by step.
     pub(super) fn reserve(&mut self, more: usize) {
-        // Parts do not fill alike: by a sixteenth more or less at most, nearly always, from so many cubes on.
-        if more >= PARTS * 1024 {
-            for part in &mut self.parts {
-                part.reserve(more / PARTS + more / PARTS / 16);
+        // Shards do not fill alike: by a sixteenth more or less at most, nearly always, from so many cubes on.
+        if more >= SHARDS * 1024 {
+            for shard in &mut self.shards {
+                shard.reserve(more / SHARDS + more / SHARDS / 16);
             }
         }
     }
@@ -129,7 +129,7 @@ impl IdTable {
     /// Inserts a cube; false, and nothing done, when the id is there.
     pub fn insert(&mut self, id: CubeId, place: Place) -> bool {
         let mixed = mix(id);
-        let inserted = self.parts[part_of(mixed)].insert(mixed, Entry::new(id, place));
+        let inserted = self.shards[shard_of(mixed)].insert(mixed, Entry::new(id, place));
         self.len += usize::from(inserted);
         inserted
     }
@@ -137,35 +137,35 @@ impl IdTable {
     /// Removes a cube and says where it was.
     pub(super) fn remove(&mut self, id: CubeId) -> Option<Place> {
         let mixed = mix(id);
-        let place = self.parts[part_of(mixed)].remove(mixed)?;
+        let place = self.shards[shard_of(mixed)].remove(mixed)?;
         self.len -= 1;
         Some(place)
     }
 
-    /// The part in which an id is.
+    /// The shard in which an id is.
     #[inline]
-    pub(super) fn part_of(id: CubeId) -> usize {
-        part_of(mix(id))
+    pub(super) fn shard_of(id: CubeId) -> usize {
+        shard_of(mix(id))
     }
 
-    /// A part as it is without some cubes of its own and with others; none when one of them does not fit.
+    /// A shard as it is without some cubes of its own and with others; none when one of them does not fit.
     pub(super) fn changed(
         &self,
-        part: usize,
+        shard: usize,
         deleted: &[(CubeId, Place)],
         inserted: &[(CubeId, Place)],
-    ) -> Option<Part> {
-        let mut changed = self.parts[part].clone();
+    ) -> Option<Shard> {
+        let mut changed = self.shards[shard].clone();
         changed.delete_each(deleted)?;
         changed.insert_each(inserted)?;
         Some(changed)
     }
 
-    /// Puts a part in place of what it was, and what it was in place of it.
-    pub(super) fn swap_part(&mut self, number: usize, part: &mut Part) {
-        let here = &mut self.parts[number];
-        self.len = self.len - here.len + part.len;
-        std::mem::swap(here, part);
+    /// Puts a shard in place of what it was, and what it was in place of it.
+    pub(super) fn swap_shard(&mut self, number: usize, shard: &mut Shard) {
+        let here = &mut self.shards[number];
+        self.len = self.len - here.len + shard.len;
+        std::mem::swap(here, shard);
     }
 
     /// See [`Engine::cubes_after`](super::Engine::cubes_after).
@@ -173,31 +173,31 @@ impl IdTable {
         let (first, start) = match after {
             None => (0, 0),
             Some(Cursor(last)) => {
-                let first = part_of(last);
-                let slot = self.parts[first].find(last);
+                let first = shard_of(last);
+                let slot = self.shards[first].find(last);
                 (first, slot.map_or_else(|next| next, |found| found + 1))
             }
         };
-        let later = self.parts[first + 1..].iter();
-        let later = later.flat_map(|part| part.cubes_from(0));
-        self.parts[first].cubes_from(start).chain(later)
+        let later = self.shards[first + 1..].iter();
+        let later = later.flat_map(|shard| shard.cubes_from(0));
+        self.shards[first].cubes_from(start).chain(later)
     }
 
     /// Bytes of the table.
     pub(super) fn size(&self) -> usize {
-        let slots: usize = self.parts.iter().map(|part| part.slots.capacity()).sum();
-        slots * size_of::<Entry>() + PARTS * size_of::<Part>()
+        let slots: usize = self.shards.iter().map(|shard| shard.slots.capacity()).sum();
+        slots * size_of::<Entry>() + SHARDS * size_of::<Shard>()
     }
 }
 
-const PART_BITS: u32 = PARTS.ilog2();
+const SHARD_BITS: u32 = SHARDS.ilog2();
 
 #[inline]
-fn part_of(mixed: u64) -> usize {
-    usize::try_from(mixed >> (u64::BITS - PART_BITS)).expect("it is less than 64")
+fn shard_of(mixed: u64) -> usize {
+    usize::try_from(mixed >> (u64::BITS - SHARD_BITS)).expect("it is less than 64")
 }
 
-impl Part {
+impl Shard {
     fn clear(&mut self) {
         if self.len * 4 < self.capacity {
             *self = Self::default();
@@ -289,10 +289,10 @@ impl Part {
             .map(|entry| (entry.id(), entry.place()))
     }
 
-    /// From the bits that do not choose the part.
+    /// From the bits that do not choose the shard.
     #[inline]
     fn home(&self, mixed: u64) -> usize {
-        let home = (u128::from(mixed << PART_BITS) * self.capacity as u128) >> 64;
+        let home = (u128::from(mixed << SHARD_BITS) * self.capacity as u128) >> 64;
         usize::try_from(home).expect("a home is less than the capacity")
     }
 
@@ -444,13 +444,19 @@ mod tests {
         let mut again = IdTable::new();
         again.reserve(chunks.len());
         let size = again.size();
-        let capacities = again.parts.iter().map(|part| part.capacity);
+        let capacities = again.shards.iter().map(|shard| shard.capacity);
         let capacities: Vec<usize> = capacities.collect();
         for id in chunks {
             assert!(again.insert(id, Place::from_checked([1, 2, 3])));
         }
         assert!(again.cubes_after(None).eq(table.cubes_after(None)));
         assert_eq!(again.size(), size);
-        assert!(again.parts.iter().map(|part| part.capacity).eq(capacities));
+        assert!(
+            again
+                .shards
+                .iter()
+                .map(|shard| shard.capacity)
+                .eq(capacities)
+        );
     }
 }

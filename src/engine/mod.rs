@@ -325,9 +325,9 @@ impl Engine {
     /// As of [`Self::apply`].
     pub fn apply_through(access: &impl Access, effect: &Effect) -> Result<(), Inconsistent> {
         let Effect { deleted, inserted } = effect;
-        let by_parts = access.look(|engine| engine.changes_whole_parts(effect));
+        let by_shards = access.look(|engine| engine.changes_whole_shards(effect));
         // When the effect does not fit, one cube after the other finds out where.
-        if !(by_parts && change_ids(access, effect)) {
+        if !(by_shards && change_ids(access, effect)) {
             apply_ids(access, effect)?;
         }
         if deleted.len() < BATCH_MIN {

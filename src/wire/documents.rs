@@ -113,7 +113,7 @@ pub struct Cube {
     /// Its id, unique in the scene.
     pub id: Id,
     /// Where it is: its lower corner or its centre, as the scene's anchor says. Units: user units. `[x, y, z]`
-    #[schema(example = json!([0.0, 0.0, 2.5]))]
+    #[schema(min_items = 3, max_items = 3, example = json!([0.0, 0.0, 2.5]))]
     pub at: [f64; 3],
 }
 
@@ -136,7 +136,7 @@ pub struct NewCube {
     #[schema(nullable = false)]
     pub id: Option<Id>,
     /// Where it is: its lower corner or its centre, as the scene's anchor says. Units: user units. `[x, y, z]`
-    #[schema(example = json!([0.0, 0.0, 2.5]))]
+    #[schema(min_items = 3, max_items = 3, example = json!([0.0, 0.0, 2.5]))]
     pub at: [f64; 3],
 }
 

@@ -18,6 +18,7 @@ pub mod http;
 mod objects;
 pub mod problem;
 pub mod solids;
+mod vector;
 
 /// Messages, server and client generated from `proto/union3d/v1/*.proto`.
 #[expect(

@@ -11,6 +11,7 @@ use super::derived::{centroid, inertia};
 use super::numbers::float;
 use super::settings::Settings;
 use crate::geometry::{Bounds, EdgeKind, Measures, Totals, VertexKind};
+use crate::wire::vector::Vector;
 
 /// Lengths of the union's edges, in user units, each edge counted once as a set of points.
 #[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
@@ -42,8 +43,10 @@ pub struct ExactEdgeLength {
 #[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct UserBounds {
     /// Least corner.
+    #[schema(min_items = 3, max_items = 3)]
     pub min: [f64; 3],
     /// Greatest corner.
+    #[schema(min_items = 3, max_items = 3)]
     pub max: [f64; 3],
 }
 
@@ -74,14 +77,18 @@ pub struct Exact {
     /// Area, in steps squared.
     pub area: String,
     /// Area of the faces whose normal is along x, y, z.
+    #[schema(min_items = 3, max_items = 3)]
     pub area_by_axis: [String; 3],
     /// Edge lengths, in steps.
     pub edge_length: ExactEdgeLength,
     /// Twice the integrals of x, y, z.
+    #[schema(min_items = 3, max_items = 3)]
     pub first_moments2: [String; 3],
     /// Three times the integrals of x^2, y^2, z^2.
+    #[schema(min_items = 3, max_items = 3)]
     pub second_moments3: [String; 3],
     /// Four times the integrals of xy, yz, zx.
+    #[schema(min_items = 3, max_items = 3)]
     pub product_moments4: [String; 3],
 }
 
@@ -99,8 +106,10 @@ pub struct UserMeasures {
     /// Integral of the mean curvature. Units: user units.
     pub mean_curvature: f64,
     /// Centre of mass; null when there is no volume. Units: user units. `[x, y, z]`
+    #[schema(min_items = 3, max_items = 3)]
     pub centroid: Option<[f64; 3]>,
     /// Inertia tensor about the centroid. Units: mass times user units squared. Rows `[[xx, xy, zx], [xy, yy, yz], [zx, yz, zz]]`
+    #[schema(inline, value_type = Vec<Vector>, min_items = 3, max_items = 3)]
     pub inertia: [[f64; 3]; 3],
 }
 

@@ -98,10 +98,10 @@ impl SettingsDocument {
 #[serde(remote = "Self", deny_unknown_fields)]
 pub struct StockDocument {
     /// Least corner.
-    #[schema(example = json!([0.0, 0.0, -10.0]))]
+    #[schema(min_items = 3, max_items = 3, example = json!([0.0, 0.0, -10.0]))]
     pub min: [f64; 3],
     /// Greatest corner.
-    #[schema(example = json!([80.0, 60.0, 0.0]))]
+    #[schema(min_items = 3, max_items = 3, example = json!([80.0, 60.0, 0.0]))]
     pub max: [f64; 3],
 }
 

@@ -155,6 +155,7 @@ pub(crate) struct Containment {
     /// A cube that holds it, its faces included; null when there is none.
     cube: Option<Cube>,
     /// The lattice point that was asked about, in user units.
+    #[schema(min_items = 3, max_items = 3)]
     point: [f64; 3],
 }
 

@@ -126,7 +126,7 @@ const PATTERNS: [(&str, &str); 3] = [
     ("Idempotency-Key", "^[!-~]{1,64}$"),
 ];
 
-/// Says what the types alone do not: how large whole numbers may be, how long lists are, what parameters look like.
+/// Says what the types alone do not: how large whole numbers may be, what parameters look like.
 fn complete(value: &mut Value) {
     match value {
         Value::Object(members) => {
@@ -151,13 +151,8 @@ fn complete_numbers(schema: &mut Map<String, Value>) {
     }
 }
 
-/// Lists of plain values have three of them, one an axis; choices of operations are closed; messages are bytes.
+/// Choices of operations are closed; messages are bytes.
 fn complete_shapes(schema: &mut Map<String, Value>) {
-    let plain = |items: &Value| items.is_object() && items.get("$ref").is_none();
-    if schema.get("items").is_some_and(plain) {
-        schema.insert("minItems".to_owned(), 3.into());
-        schema.insert("maxItems".to_owned(), 3.into());
-    }
     let choices = schema.get_mut("oneOf").and_then(Value::as_array_mut);
     for choice in choices.into_iter().flatten() {
         if choice["type"] == "object" {
