@@ -15,12 +15,12 @@
 //!
 //! | module | knows | must never know |
 //! |---|---|---|
-//! | [`geometry`] | lattice, cubes, octant masks, weights, measures: integers only | I/O, async, serde, floats |
-//! | [`engine`] | the grid, the kernel, the set of cubes and its totals | the same, and who asks |
+//! | [`geometry`] | lattice, cubes, octant masks, weights, measures, convex solids: integers only | I/O, async, serde, floats |
+//! | [`engine`] | the grid, the kernel, the set of cubes and its totals; in [`engine::solids`] the same of convex solids | the same, and who asks |
 //! | [`log`] | records, snapshots, SQLite, checksums | the engine, async, the wire |
 //! | [`service`] | scenes, their writers, queues, recovery | HTTP, gRPC, JSON, user units |
 //! | [`wire`] | HTTP, gRPC, JSON, protobuf, user units, problems | the log, the grid |
-//! | [`toolpath`] | G-code to positions | everything else |
+//! | [`toolpath`] | G-code to motions | everything else |
 //! | [`config`] | settings from file, environment and flags | how they are used |
 //!
 //! Where the invariants live:
