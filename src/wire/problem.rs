@@ -82,11 +82,9 @@ kinds! {
     SceneExists "scene-exists" 409 None, "The scene exists with other settings",
         "`settings` are those it has. Settings are fixed for a scene's life: delete it first, or use another name.";
     IdConflict "id-conflict" 409 None, "An id is at another place already",
-        "A cube or solid is moved by deleting and inserting its id in one change. Nothing of the change was applied; of a stream the first `committed_lines`.";
+        "A cube is moved by deleting and inserting its id in one change. Nothing of the change was applied; of a stream the first `committed_lines`.";
     OtherKind "other-kind" 409 None, "The scene is of another kind",
         "A scene is of cubes or of solids, for its life. This call is for the other kind; the detail names the scene's.";
-    ShapeExists "shape-exists" 409 None, "The shape cannot be defined",
-        "A shape never changes, for solids of the scene, and of seqs that can be gone back to, stand on it: use another name. A scene holds at most 1,024 shapes.";
     IdsExhausted "ids-exhausted" 409 None, "The server has no ids left to give",
         "Give the ids yourself.";
     SeqNotKept "seq-not-kept" 410 None, "This seq is no longer kept",
@@ -100,7 +98,7 @@ kinds! {
     Invalid "invalid" 422 None, "The request can be read but is wrong",
         "`errors` names the first hundred faults, each with its place and value. Nothing of the change was applied; of a stream the first `committed_lines`.";
     SceneFull "scene-full" 422 None, "The scene would hold too many cubes",
-        "A scene holds at most 2^31 cubes, or 2^24 solids.";
+        "A scene holds at most 2^31 cubes.";
     KeyReused "idempotency-key-reused" 422 None, "The idempotency key came before with another body",
         "A key stands for one body. Use a new key for a new change.";
     QueueFull "queue-full" 429 Some(1), "Too many changes are waiting",
@@ -411,7 +409,6 @@ impl From<ServiceError> for Problem {
             | ServiceError::RejectedSolids(solids::Rejected::TooManySolids { .. }) => {
                 problem(Code::SceneFull)
             }
-            ServiceError::NotDefined { .. } => problem(Code::ShapeExists),
             ServiceError::OtherKind { .. } => problem(Code::OtherKind),
             ServiceError::IdsExhausted { .. } => problem(Code::IdsExhausted),
             ServiceError::TooManyOperations { .. } => problem(Code::TooLarge),
@@ -425,8 +422,8 @@ impl From<ServiceError> for Problem {
             ServiceError::SeqNotReached { newest, .. } => {
                 problem(Code::SeqNotReached).with("newest", newest.0)
             }
-            // Never shown: a stream ends with the refusal that broke its chain.
-            ServiceError::Abandoned => problem(Code::Internal),
+            // Never shown: a stream ends with the refusal that broke its chain, and nothing is defined from here.
+            ServiceError::Abandoned | ServiceError::NotDefined { .. } => problem(Code::Internal),
             ServiceError::ShuttingDown => problem(Code::ShuttingDown),
             ServiceError::Storage { cause, full } => problem(if full {
                 Code::DiskFull

@@ -183,8 +183,8 @@ fn complete_parameter(parameter: &mut Map<String, Value>) {
 fn failures(operation: &str) -> &'static [Code] {
     use Code::{
         AuditDifference, BadJson, BadProtobuf, DiskFull, IdConflict, IdsExhausted, KeyReused,
-        NoSuchCube, NoSuchPath, NotReachable, QueueFull, Recovering, RequestTimeout, SceneExists,
-        SceneFull, SeqNotKept, SeqNotReached, ShuttingDown, StorageFailed, TooLarge,
+        NoSuchCube, NoSuchPath, NotReachable, OtherKind, QueueFull, Recovering, RequestTimeout,
+        SceneExists, SceneFull, SeqNotKept, SeqNotReached, ShuttingDown, StorageFailed, TooLarge,
         UnsupportedMediaType, WaitTimeout,
     };
     match operation {
@@ -192,6 +192,7 @@ fn failures(operation: &str) -> &'static [Code] {
             BadJson,
             RequestTimeout,
             SceneExists,
+            OtherKind,
             TooLarge,
             UnsupportedMediaType,
             StorageFailed,
@@ -241,6 +242,7 @@ const EVERY_PARAMETER: &[Code] = &[Code::BadRequest, Code::Invalid];
 /// What every call to a scene may fail with.
 const EVERY_SCENE: &[Code] = &[
     Code::NoSuchScene,
+    Code::OtherKind,
     Code::Recovering,
     Code::SceneStopped,
     Code::SceneDamaged,
