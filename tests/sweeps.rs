@@ -7,7 +7,7 @@ use std::f64::consts::PI;
 use std::sync::Arc;
 
 use random::Random;
-use union3d::engine::solids::{Body, Engine, Op, Shape, SolidId, Totals};
+use union3d::engine::solids::{Body, Engine, Op, Shape, SolidId, Stock, Totals};
 use union3d::geometry::convex::{Cutter, End, Fit, Point, Solid, cross, dot};
 
 fn point(coordinates: [i64; 3]) -> Point {
@@ -51,6 +51,11 @@ fn area_vector2(solid: &Solid, facet: usize) -> [i64; 3] {
 
 /// The union of what a cutter sweeps along a path, and of two paths.
 fn milled(cutter: &Solid, paths: &[&[[i64; 3]]]) -> (Totals, f64) {
+    milled_from(None, cutter, paths)
+}
+
+/// The same, cut from a stock.
+fn milled_from(stock: Option<Stock>, cutter: &Solid, paths: &[&[[i64; 3]]]) -> (Totals, f64) {
     let shape = Arc::new(Shape::new(vec![cutter.clone()]).unwrap());
     let moves = paths.iter().flat_map(|path| path.windows(2));
     let ops: Vec<Op> = (0..)
@@ -61,7 +66,7 @@ fn milled(cutter: &Solid, paths: &[&[[i64; 3]]]) -> (Totals, f64) {
             Op::Insert(id, body)
         })
         .collect();
-    let mut engine = Engine::new();
+    let mut engine = Engine::new().with_stock(stock);
     let judged = engine.judge(&ops).unwrap();
     engine.apply(&judged.effect).unwrap();
     (engine.totals(), engine.error_max().volume6 as f64 / 96.0)
@@ -228,5 +233,97 @@ fn volumes_converge_to_those_of_the_round_cutter() {
             errors.iter().all(|error| error.abs() < bound),
             "{sides} sides"
         );
+    }
+}
+
+fn block(min: [i64; 3], max: [i64; 3]) -> Stock {
+    Stock::new(Solid::cuboid(point(min), point(max)).unwrap()).unwrap()
+}
+
+/// Slots through and into a block: all measures of both parts, from the plan of the polygonised cutter.
+#[test]
+fn a_slot_in_a_stock_leaves_the_rest_of_it() {
+    for sides in [4, 8, 32] {
+        let cutter = cutter(End::Flat, sides, Fit::EqualArea);
+        let half = i64::from(cutter.bounds().max[0]);
+        let (width, depth) = (200_000, 40_000);
+        let stock = || block([0, -width, -width], [width, width, 0]);
+        // Of a box with these sides, in the units of the measures.
+        let volume = |[x, y, z]: [i64; 3]| 96 * i128::from(x) * i128::from(y) * i128::from(z);
+        let area = |[x, y, z]: [i64; 3]| i128::from(x * y + y * z + z * x) << 18;
+        let length = |[x, y, z]: [i64; 3]| i128::from(x + y + z) << 23;
+        // All along x: a block is removed, and the rest is a block with a notch.
+        let through = [[-100_000, 0, -depth], [300_000, 0, -depth]];
+        let (totals, _) = milled_from(Some(stock()), &cutter, &[&through]);
+        let removed = [width, 2 * half, depth];
+        assert_eq!(totals.measures.volume6, volume(removed));
+        assert_eq!(totals.measures.area2, area(removed));
+        assert_eq!(totals.measures.edge_length2, [length(removed), 0, 0]);
+        let rest = totals.remaining.unwrap();
+        let whole = [width, 2 * width, width];
+        assert_eq!(rest.volume6, volume(whole) - volume(removed));
+        // The walls come, and the profile goes at both ends; the floor stands for what is open.
+        let more = i128::from(2 * width * depth - 2 * 2 * half * depth) << 17;
+        assert_eq!(rest.area2, area(whole) + more);
+        // Two edges more on top, of which each end of the slot takes a part away and adds three sides; two along the floor are concave.
+        let convex = 2 * width - 2 * 2 * half + 2 * (2 * depth + 2 * half);
+        let [of_convex, of_concave, of_crossing] = rest.edge_length2;
+        assert_eq!(of_convex, length(whole) + (i128::from(convex) << 21));
+        assert_eq!(of_concave, i128::from(2 * width) << 21);
+        assert_eq!(of_crossing, 0);
+        // The whole width of it at several depths, there and back: the upper part is gone.
+        let mut rows = Vec::new();
+        for z in [-10_000, -25_000, -depth] {
+            for row in -8..=8 {
+                let ends = [[-100_000, row * half, z], [300_000, row * half, z]];
+                rows.push(ends);
+                rows.push([ends[1], ends[0]]);
+            }
+        }
+        let rows: Vec<&[[i64; 3]]> = rows.iter().map(|row| &row[..]).collect();
+        let (totals, _) = milled_from(Some(stock()), &cutter, &rows);
+        let left = [width, 2 * width, width - depth];
+        let rest = totals.remaining.unwrap();
+        assert_eq!(rest.volume6, volume(left));
+        assert_eq!(rest.area2, area(left));
+        assert_eq!(rest.edge_length2, [length(left), 0, 0]);
+    }
+}
+
+/// A helix to the bottom and a round there make a round hole, as exactly as the polygons are round.
+#[test]
+fn a_helix_bores_a_round_hole() {
+    let (radius, around, depth) = (30_000.0, 20_000.0, 40_000_i64);
+    let truth = PI * (radius + around) * (radius + around) * depth as f64;
+    println!("| sides | chords a turn | hole |");
+    let mut last = f64::INFINITY;
+    for sides in [8_u16, 16, 32] {
+        let cutter = cutter(End::Flat, sides, Fit::EqualArea);
+        // Four turns down and one round at the bottom, in as many chords a turn as the cutter has sides.
+        let chords = i64::from(sides);
+        let at = |step: i64| {
+            let angle = 2.0 * PI * step as f64 / chords as f64;
+            let down = depth * step / (4 * chords);
+            let [x, y] = [angle.cos(), angle.sin()].map(|part| (around * part).round() as i64);
+            [x, y, -down.min(depth)]
+        };
+        let path: Vec<[i64; 3]> = (0..=5 * chords).map(at).collect();
+        let stock = block([-100_000, -100_000, -60_000], [100_000, 100_000, 0]);
+        let (totals, _) = milled_from(Some(stock), &cutter, &[&path]);
+        let found = totals.measures.volume6 as f64 / 96.0;
+        let error = found / truth - 1.0;
+        println!("| {sides} | {chords} | {error:+.1e} |");
+        assert!(
+            error.abs() < 7.0 / f64::from(sides).powi(2),
+            "{sides} sides"
+        );
+        assert!(error.abs() < last, "more sides are closer");
+        last = error.abs();
+        // The way back removes nothing.
+        let back: Vec<[i64; 3]> = path.iter().rev().copied().collect();
+        let stock = block([-100_000, -100_000, -60_000], [100_000, 100_000, 0]);
+        let (again, _) = milled_from(Some(stock), &cutter, &[&path, &back]);
+        assert_eq!(again.measures, totals.measures);
+        assert_eq!(again.remaining, totals.remaining);
     }
 }
