@@ -247,6 +247,17 @@ fn each_tool_cuts_with_its_own_shape() {
 }
 
 #[test]
+fn tools_are_in_the_unit_of_the_scene_unless_said() {
+    let inch = ["--unit", "inch", "--stock=-1,-1,-1:1,1,0"];
+    let program = "G20 G90\nG0 X0 Y0 Z0.5\nG1 Z-0.25 F10\nM2\n";
+    let volume = |options: &[&str]| removed(&mill(&[&inch, options].concat(), program));
+    let inches = volume(&["--tool", "flat:0.5"]);
+    assert!((inches - PI / 64.0).abs() < 1e-4, "{inches}");
+    let mm = volume(&["--tool", "flat:12.7", "--tools-unit", "mm"]);
+    assert_eq!(mm.to_bits(), inches.to_bits());
+}
+
+#[test]
 fn the_stock_may_be_round_or_a_hull() {
     for (stock, volume) in [
         ("cylinder:0,0,-10:20x10", 1000.0 * PI),

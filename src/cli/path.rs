@@ -8,6 +8,7 @@ use clap::ValueEnum;
 use serde::Serialize;
 
 use super::Outcome;
+use super::cutter::Unit;
 use super::program::ProgramArgs;
 use union3d::toolpath::{Event, Motion, Move, words_table};
 
@@ -171,7 +172,7 @@ pub(crate) fn run(args: Args) -> Outcome {
         output.flush()?;
         return Ok(ExitCode::SUCCESS);
     };
-    let (program, _) = args.program.open(&file)?;
+    let (program, _) = args.program.open(&file, Unit::Mm)?;
     let mut rows = match args.format {
         Format::Csv => {
             let mut csv = csv::WriterBuilder::new()

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
 
+use super::cutter::Unit;
 use super::input;
 use union3d::toolpath::{Dialect, Interpreter, Options, RapidPath, ToolTable, bit, bits};
 
@@ -26,9 +27,9 @@ pub(crate) struct ProgramArgs {
     /// `T1=FILE.fctb`. Repeat it for each.
     #[arg(long, value_name = "FILE")]
     tools: Vec<String>,
-    /// Unit of --tool, and of a tool.tbl.
-    #[arg(long, value_enum, default_value_t = super::cutter::Unit::Mm)]
-    tools_unit: super::cutter::Unit,
+    /// Unit of --tool, and of a tool.tbl [default: that of the scene, mm where there is none].
+    #[arg(long, value_enum)]
+    tools_unit: Option<Unit>,
     /// Where a work system begins, in mm, such as `G55=0,20,0`: needed where a program uses several. Repeat it for each.
     #[arg(long, value_name = "SYSTEM=X,Y,Z", value_parser = origin, allow_hyphen_values = true)]
     origin: Vec<(usize, [f64; 3])>,
@@ -60,16 +61,16 @@ enum Rapids {
 }
 
 impl ProgramArgs {
-    /// A program about to be run, and its size in bytes.
+    /// A program about to be run, and its size in bytes. `unit` is that of its tools where nothing else is said.
     ///
     /// # Errors
     /// When a file cannot be read, or its text is no table of tools.
-    pub(crate) fn open(&self, path: &Path) -> Result<(Interpreter, u64), Failure> {
+    pub(crate) fn open(&self, path: &Path, unit: Unit) -> Result<(Interpreter, u64), Failure> {
         let (mut source, _) = input::open(path)?;
         let mut text = Vec::new();
         source.read_to_end(&mut text).map_err(input::about(path))?;
         let size = text.len() as u64;
-        let mut options = self.options()?;
+        let mut options = self.options(self.tools_unit.unwrap_or(unit).mm())?;
         options.tools.take_comments(&text);
         let directory = path.parent().map(Path::to_owned);
         options.directory = directory.filter(|_| path != Path::new("-"));
@@ -81,7 +82,7 @@ impl ProgramArgs {
         self.strict
     }
 
-    fn options(&self) -> Result<Options, Failure> {
+    fn options(&self, mm_per_unit: f64) -> Result<Options, Failure> {
         let mut options = Options {
             dialect: self.dialect,
             block_delete: self.block_delete.map(|switch| switch == Switch::On),
@@ -103,11 +104,11 @@ impl ProgramArgs {
             return Err("--home goes without --origin: both say where the work systems are".into());
         }
         for file in &self.tools {
-            self.read_tools(file, &mut options.tools)?;
+            read_tools(file, mm_per_unit, &mut options.tools)?;
         }
         let mut numbers = BTreeSet::new();
         for tool in &self.tool {
-            let defined = options.tools.define(tool, self.tools_unit.mm());
+            let defined = options.tools.define(tool, mm_per_unit);
             let number = defined.map_err(|wrong| format!("--tool {tool}: {wrong}"))?;
             if !numbers.insert(number) {
                 return Err(format!("--tool gives T{number} twice").into());
@@ -115,38 +116,36 @@ impl ProgramArgs {
         }
         Ok(options)
     }
+}
 
-    /// Reads a file of tools, whatever it is.
-    fn read_tools(&self, file: &str, tools: &mut ToolTable) -> Result<(), Failure> {
-        let (number, path) = match file.split_once('=') {
-            Some((number, path)) if number.starts_with(['T', 't']) => {
-                let parsed = number[1..].parse::<u32>();
-                let number =
-                    parsed.map_err(|_| format!("--tools: {number} is no number of a tool"))?;
-                (Some(number), Path::new(path))
-            }
-            _ => (None, Path::new(file)),
-        };
-        let about = |wrong: String| format!("{}: {wrong}", path.display());
-        let text = read(path)?;
-        if let Some(number) = number {
-            return Ok(tools.add_bit(number, bit(&text).map_err(about)?)?);
+/// Reads a file of tools, whatever it is.
+fn read_tools(file: &str, mm_per_unit: f64, tools: &mut ToolTable) -> Result<(), Failure> {
+    let (number, path) = match file.split_once('=') {
+        Some((number, path)) if number.starts_with(['T', 't']) => {
+            let parsed = number[1..].parse::<u32>();
+            let number = parsed.map_err(|_| format!("--tools: {number} is no number of a tool"))?;
+            (Some(number), Path::new(path))
         }
-        if path.extension().is_some_and(|ending| ending == "fctb") {
-            return Err(about("a bit has no number: give it as T1=FILE".into()).into());
-        }
-        let Some(bits) = bits(&text) else {
-            return Ok(tools.add(&text, self.tools_unit.mm()).map_err(about)?);
-        };
-        for (number, name) in bits {
-            let found = bit_beside(path, &name)
-                .ok_or_else(|| about(format!("there is no {name}, the bit of T{number}")))?;
-            let bit =
-                bit(&read(&found)?).map_err(|wrong| format!("{}: {wrong}", found.display()))?;
-            tools.add_bit(number, bit).map_err(about)?;
-        }
-        Ok(())
+        _ => (None, Path::new(file)),
+    };
+    let about = |wrong: String| format!("{}: {wrong}", path.display());
+    let text = read(path)?;
+    if let Some(number) = number {
+        return Ok(tools.add_bit(number, bit(&text).map_err(about)?)?);
     }
+    if path.extension().is_some_and(|ending| ending == "fctb") {
+        return Err(about("a bit has no number: give it as T1=FILE".into()).into());
+    }
+    let Some(bits) = bits(&text) else {
+        return Ok(tools.add(&text, mm_per_unit).map_err(about)?);
+    };
+    for (number, name) in bits {
+        let found = bit_beside(path, &name)
+            .ok_or_else(|| about(format!("there is no {name}, the bit of T{number}")))?;
+        let bit = bit(&read(&found)?).map_err(|wrong| format!("{}: {wrong}", found.display()))?;
+        tools.add_bit(number, bit).map_err(about)?;
+    }
+    Ok(())
 }
 
 fn read(path: &Path) -> Result<String, String> {

@@ -198,7 +198,7 @@ pub(crate) fn run(args: Args) -> Outcome {
         return solids::run(&args);
     };
     let settings = settings(&args, edge)?;
-    let program = args.program.open(&args.file)?;
+    let program = args.program.open(&args.file, args.unit)?;
     let runtime = tokio::runtime::Runtime::new()?;
     runtime.block_on(mill(args, &settings, program))
 }

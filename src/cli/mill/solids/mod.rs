@@ -82,7 +82,7 @@ struct Rounding {
 pub(super) fn run(args: &Args) -> Outcome {
     let started = Instant::now();
     let interrupted = stop_on_interrupt()?;
-    let (program, size) = args.program.open(&args.file)?;
+    let (program, size) = args.program.open(&args.file, args.unit)?;
     let mut warnings = Warnings::default();
     let mut count = Count::default();
     let bar = progress::bytes(Some(size));
