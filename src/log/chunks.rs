@@ -5,7 +5,8 @@
 use rusqlite::Connection;
 
 use super::LogError;
-use super::codec::{self, Encoder, count};
+use super::bytes::count;
+use super::codec::{self, Encoder};
 use super::database::Database;
 use super::kind::{Cubes, Kind};
 use super::tables::{CHUNKS_MAX, Packed, Snapshot, chunk_number};

@@ -6,7 +6,7 @@
 use rusqlite::config::DbConfig;
 use rusqlite::{Connection, OpenFlags, Transaction, TransactionBehavior};
 
-use super::codec::count;
+use super::bytes::count;
 use super::files::{APPLICATION_ID, CommitMarker, CommitMarkerFile, Site};
 use super::kind::Kind;
 use super::tables::{Definitions, Meta, Seal, Superblock, tables};

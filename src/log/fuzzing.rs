@@ -4,6 +4,7 @@ use std::io::Read;
 
 use super::codec::{self, Encoder};
 use super::kind::Cubes;
+use super::totals;
 use super::wal::{self, WriteAhead};
 use crate::geometry::Edge;
 
@@ -21,19 +22,19 @@ pub fn codec(bytes: &[u8]) {
         b'k' => groups::<1>(body),
         b't' => {
             if let Ok(totals) = codec::totals::<Cubes>(body) {
-                codec::put_totals(&mut again, &totals);
+                totals::put_totals(&mut again, &totals);
                 assert_eq!(codec::totals::<Cubes>(&again), Ok(totals));
             }
         }
         b's' => {
-            if let Ok(stock) = codec::stock(body) {
-                assert_eq!(codec::stock(&codec::stock_bytes(stock)), Ok(stock));
+            if let Ok(stock) = totals::stock(body) {
+                assert_eq!(totals::stock(&totals::stock_bytes(stock)), Ok(stock));
             }
         }
         _ => {
-            if let Ok(volume) = codec::volume(body) {
-                codec::put_volume(&mut again, volume);
-                assert_eq!(codec::volume(&again), Ok(volume));
+            if let Ok(volume) = totals::volume(body) {
+                totals::put_volume(&mut again, volume);
+                assert_eq!(totals::volume(&again), Ok(volume));
             }
         }
     }

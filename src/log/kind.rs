@@ -5,7 +5,9 @@
 use std::fmt;
 
 use super::Header;
-use super::codec::{ColumnReader, ColumnWriter, Malformed, Reader};
+use super::bytes::{Malformed, Reader};
+use super::columns::{ColumnReader, ColumnWriter};
+use super::totals;
 use crate::geometry::{CubeId, Edge, Place, Totals};
 
 /// A kind of scene, as its log knows it.
@@ -138,11 +140,11 @@ impl Kind for Cubes {
     }
 
     fn put_totals(to: &mut Vec<u8>, totals: &Totals) {
-        super::codec::put_totals(to, totals);
+        totals::put_totals(to, totals);
     }
 
     fn read_totals(reader: &mut Reader<'_>) -> Result<Totals, Malformed> {
-        super::codec::read_totals(reader)
+        totals::read_totals(reader)
     }
 
     fn nothing(header: &Header) -> Totals {

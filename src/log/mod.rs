@@ -18,8 +18,10 @@
 //! One question asks less: rows by the numbers of moves are found through an index, and how many there must be is written
 //! nowhere. A damaged index can leave rows out of that answer; the rows that are in it are right, and no state depends on it.
 
+mod bytes;
 mod chunks;
 mod codec;
+mod columns;
 mod database;
 mod files;
 #[doc(hidden)]
@@ -31,6 +33,7 @@ mod revert;
 mod scene;
 mod snapshot;
 mod tables;
+mod totals;
 mod trim;
 mod wal;
 
@@ -38,14 +41,17 @@ use std::path::PathBuf;
 
 use crate::geometry::{CubeId, Effect, Stock};
 
-pub use codec::{ColumnReader, ColumnWriter, Malformed, RECORD_CUBES_MAX, Reader};
-pub(crate) use codec::{put_bounds, put_signed, put_varint, read_bounds};
+pub use bytes::{Malformed, Reader};
+pub(crate) use bytes::{put_signed, put_varint};
+pub use codec::RECORD_CUBES_MAX;
+pub use columns::{ColumnReader, ColumnWriter};
 pub use files::{TEMPORARY_PREFIX, create_directories, format_of, remove_leftovers, remove_scene};
 pub use history::HistoryReader;
 pub(crate) use kind::COORDINATE_BYTES_MAX;
 pub use kind::{Cubes, Kind};
 pub use revert::Step;
 pub use scene::{Log, SceneLog};
+pub(crate) use totals::{put_bounds, read_bounds};
 
 /// Number of a change in its scene: 1 for the first; 0 is the empty scene before it.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Default)]

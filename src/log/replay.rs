@@ -5,7 +5,8 @@
 
 use rusqlite::{Connection, Row};
 
-use super::codec::{self, count};
+use super::bytes::count;
+use super::codec;
 use super::database::Database;
 use super::kind::{Kind, Named};
 use super::scene::Log;

@@ -8,8 +8,9 @@ use std::fmt;
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use super::bytes::{Malformed, count};
 use super::chunks::SnapshotWriter;
-use super::codec::{Encoder, Malformed, RECORD_CUBES_MAX, count};
+use super::codec::{Encoder, RECORD_CUBES_MAX};
 use super::database::{Database, generation_without_write_ahead};
 use super::files::{CommitMarker, Site, create_whole};
 use super::history::HistoryReader;

@@ -19,8 +19,10 @@
 use rusqlite::types::ValueRef;
 use rusqlite::{Connection, Row, params, params_from_iter};
 
-use super::codec::{self, Malformed, Reader};
+use super::bytes::{self, Malformed, Reader};
+use super::codec;
 use super::kind::Kind;
+use super::totals;
 use super::{Header, HistoryRow, KeyRecord, Motion, RecordedOutcome, Seq};
 use crate::geometry::CubeId;
 
@@ -315,7 +317,7 @@ impl Meta {
     fn crc(&self) -> Crc {
         let mut crc = self.seal().row("meta");
         crc.number(u64::from(self.header.edge_steps))
-            .bytes(&codec::stock_bytes(self.header.stock))
+            .bytes(&totals::stock_bytes(self.header.stock))
             .bytes(self.header.settings.as_bytes())
             .number(self.created_ms);
         crc
@@ -327,7 +329,7 @@ impl Meta {
             params![
                 self.header.incarnation.cast_signed(),
                 self.header.edge_steps,
-                codec::stock_bytes(self.header.stock),
+                totals::stock_bytes(self.header.stock),
                 self.header.settings,
                 self.created_ms.cast_signed(),
                 self.crc().finish()
@@ -349,7 +351,7 @@ impl Meta {
                 incarnation: columns.number(1)?,
                 edge_steps: u32::try_from(columns.number(2)?)
                     .map_err(|_| Malformed("its edge is out of range"))?,
-                stock: codec::stock(columns.blob(3)?)?,
+                stock: totals::stock(columns.blob(3)?)?,
                 settings: columns.text(4)?.to_owned(),
             },
             created_ms: columns.number(5)?,
@@ -394,7 +396,7 @@ impl Changes {
         totals: &[u8],
     ) -> rusqlite::Result<()> {
         let mut removed = Vec::new();
-        codec::put_volume(&mut removed, row.volume_removed);
+        totals::put_volume(&mut removed, row.volume_removed);
         let numbers = [row.seq.0, row.at_ms, row.inserted, row.deleted];
         let crc = Self::crc(seal, numbers, row.motion, &removed, totals).finish();
         let [seq, at_ms, inserted, deleted] = numbers.map(u64::cast_signed);
@@ -427,7 +429,7 @@ impl Changes {
             inserted,
             deleted,
             motion,
-            volume_removed: codec::volume(removed)?,
+            volume_removed: totals::volume(removed)?,
             totals: codec::totals::<K>(totals)?,
         })
     }
@@ -727,16 +729,16 @@ fn put_answer<K: Kind>(to: &mut Vec<u8>, answer: &RecordedOutcome<K>) {
         answer.deleted,
         answer.unchanged,
     ] {
-        codec::put_varint(to, number);
+        bytes::put_varint(to, number);
     }
     if let Some((first, last)) = answer.assigned {
         to.push(1);
-        codec::put_varint(to, first.0);
-        codec::put_varint(to, last.0);
+        bytes::put_varint(to, first.0);
+        bytes::put_varint(to, last.0);
     } else {
         to.push(0);
     }
-    codec::put_volume(to, answer.volume_removed);
+    totals::put_volume(to, answer.volume_removed);
     K::put_totals(to, &answer.totals);
 }
 
@@ -756,7 +758,7 @@ fn read_answer<K: Kind>(bytes: &[u8]) -> Result<RecordedOutcome<K>, Malformed> {
             1 => Some((CubeId(reader.varint()?), CubeId(reader.varint()?))),
             _ => return Err(Malformed("ids that are neither given nor not")),
         },
-        volume_removed: codec::read_volume(&mut reader)?,
+        volume_removed: totals::read_volume(&mut reader)?,
         totals: K::read_totals(&mut reader)?,
     };
     reader.finish()?;

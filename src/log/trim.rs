@@ -5,7 +5,7 @@
 use rusqlite::Connection;
 
 use super::LogError;
-use super::codec::count;
+use super::bytes::count;
 use super::kind::Kind;
 use super::scene::Log;
 use super::tables::CHUNKS_MAX;

@@ -6,8 +6,12 @@ use std::sync::Arc;
 use super::inbox::End;
 use super::kind::SceneKind;
 use super::scene::{Scene, SceneOf};
-use super::solids::SolidScene;
+use super::solids::Solids;
 use super::{SceneName, SceneState, Seq, ServiceError};
+use crate::log::Cubes;
+
+/// A scene of solids.
+pub type SolidScene = SceneOf<Solids>;
 
 /// A scene of cubes or of solids.
 #[derive(Clone, Debug)]
@@ -36,6 +40,43 @@ pub trait SceneFacts: Send + Sync {
     fn is_starting(&self) -> bool;
     /// How far that has come, in parts per thousand.
     fn start_permille(&self) -> u32;
+}
+
+/// A kind that a scene of any kind may be of.
+pub(super) trait OneOfAny: SceneKind {
+    /// The scene as one of any kind.
+    fn any(scene: Arc<SceneOf<Self>>) -> AnyScene;
+
+    /// A scene of any kind as one of this.
+    /// # Errors
+    /// The scene, when it is of another kind.
+    fn of(scene: AnyScene) -> Result<Arc<SceneOf<Self>>, AnyScene>;
+}
+
+impl OneOfAny for Cubes {
+    fn any(scene: Arc<Scene>) -> AnyScene {
+        AnyScene::Cubes(scene)
+    }
+
+    fn of(scene: AnyScene) -> Result<Arc<Scene>, AnyScene> {
+        match scene {
+            AnyScene::Cubes(scene) => Ok(scene),
+            AnyScene::Solids(_) => Err(scene),
+        }
+    }
+}
+
+impl OneOfAny for Solids {
+    fn any(scene: Arc<SolidScene>) -> AnyScene {
+        AnyScene::Solids(scene)
+    }
+
+    fn of(scene: AnyScene) -> Result<Arc<SolidScene>, AnyScene> {
+        match scene {
+            AnyScene::Solids(scene) => Ok(scene),
+            AnyScene::Cubes(_) => Err(scene),
+        }
+    }
 }
 
 /// What the registry does with every scene.

@@ -6,15 +6,10 @@
 //!                  └─ Solids: engine::solids::Engine  bodies are swept shapes and hulls (`solids`)
 //! ```
 
-use std::sync::Arc;
-
-use super::any::AnyScene;
-use super::before::Table;
 use super::places::Places;
-use super::scene::{Scene, SceneOf};
-use super::set::BodySet;
+use super::table::Table;
 use super::{ServiceConfig, ServiceError};
-use crate::engine::{self, Cursor, Engine, IdTable, Judged, Op};
+use crate::engine::{self, Access, Cursor, Engine, IdTable, Judged, Op};
 use crate::geometry::{CubeId, Edge, Effect, Place, Totals};
 use crate::log::{Cubes, Header, Kind};
 
@@ -66,7 +61,7 @@ pub trait SceneKind: Kind {
     fn applies_at_once(effect: &Effect<Self::Body>) -> bool;
 
     /// Applies an effect that was noted in short steps, between which others read; false when it does not fit.
-    fn apply_in_steps(set: &BodySet<Self>, effect: &Effect<Self::Body>) -> bool;
+    fn apply_in_steps(access: &impl Access<Self::Engine>, effect: &Effect<Self::Body>) -> bool;
 
     /// Notes where a body is that a change deletes.
     fn note_near(near: &mut Self::Near, id: CubeId, body: &Self::Body);
@@ -85,14 +80,6 @@ pub trait SceneKind: Kind {
 
     /// Totals from the bodies alone.
     fn recount(header: &Header, bodies: Vec<Self::Body>) -> Self::Totals;
-
-    /// The scene as one of any kind.
-    fn any(scene: Arc<SceneOf<Self>>) -> AnyScene;
-
-    /// A scene of any kind as one of this.
-    /// # Errors
-    /// The scene, when it is of another kind.
-    fn of(scene: AnyScene) -> Result<Arc<SceneOf<Self>>, AnyScene>;
 }
 
 impl SceneKind for Cubes {
@@ -138,8 +125,8 @@ impl SceneKind for Cubes {
         Engine::applies_at_once(effect)
     }
 
-    fn apply_in_steps(set: &BodySet<Self>, effect: &Effect) -> bool {
-        Engine::apply_through(set, effect).is_ok()
+    fn apply_in_steps(access: &impl Access, effect: &Effect) -> bool {
+        Engine::apply_through(access, effect).is_ok()
     }
 
     fn note_near(near: &mut Places, id: CubeId, place: &Place) {
@@ -168,17 +155,6 @@ impl SceneKind for Cubes {
     fn recount(header: &Header, places: Vec<Place>) -> Totals {
         let edge = edge_of(header).expect("an edge is checked before its header is kept");
         engine::recount(edge, header.stock, places.into_iter())
-    }
-
-    fn any(scene: Arc<Scene>) -> AnyScene {
-        AnyScene::Cubes(scene)
-    }
-
-    fn of(scene: AnyScene) -> Result<Arc<Scene>, AnyScene> {
-        match scene {
-            AnyScene::Cubes(scene) => Ok(scene),
-            AnyScene::Solids(_) => Err(scene),
-        }
     }
 }
 

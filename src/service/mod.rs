@@ -30,6 +30,7 @@ mod revert;
 mod scene;
 mod set;
 mod solids;
+mod table;
 mod upkeep;
 mod writer;
 
@@ -41,14 +42,14 @@ use std::time::Duration;
 use crate::engine::{Counts, Op, Rejected};
 use crate::geometry::{CUBES_MAX, CubeId};
 pub use crate::log::{Cubes, HistoryRow, Kind, Motion, Seq};
-pub use any::{AnyScene, SceneFacts};
+pub use any::{AnyScene, SceneFacts, SolidScene};
 pub use failpoint::{FailHook, FailPoint};
 pub use kind::SceneKind;
 pub use meters::describe_metrics;
 pub use offline::{AnyAudit, Offline, OfflineAudit};
 pub use registry::Service;
 pub use scene::{Scene, SceneOf};
-pub use solids::{NamedShape, Shapes, SolidScene, SolidTotals, Solids};
+pub use solids::{NamedShape, Shapes, SolidTotals, Solids};
 
 /// Most operations of one change: what one record of the log holds.
 pub const CHANGE_OPERATIONS_MAX: usize = crate::log::RECORD_CUBES_MAX;

@@ -15,14 +15,14 @@ use std::time::{Duration, Instant};
 use dashmap::DashMap;
 use parking_lot::{Condvar, Mutex, RwLock};
 
-use super::any::{AnyScene, SceneFacts};
+use super::any::{AnyScene, OneOfAny, SceneFacts, SolidScene};
 use super::failpoint::FailHook;
 use super::gate::Gate;
 use super::inbox::End;
 use super::kind::SceneKind;
 use super::lifecycle::{self, keep, revive};
 use super::scene::{Scene, SceneOf, Setup, blocking};
-use super::solids::{NamedShape, SolidScene, Solids};
+use super::solids::{NamedShape, Solids};
 use super::writer::{Halt, Writer};
 use super::{Readiness, SceneName, SceneState, ServiceConfig, ServiceError, StartError};
 use crate::geometry::{Edge, Stock};
@@ -204,7 +204,7 @@ impl Service {
         self.create_of(name, new).await
     }
 
-    async fn create_of<K: SceneKind>(
+    async fn create_of<K: OneOfAny>(
         &self,
         name: &SceneName,
         new: NewScene,
@@ -270,7 +270,7 @@ impl Service {
 }
 
 impl Registry {
-    fn create<K: SceneKind>(
+    fn create<K: OneOfAny>(
         self: &Arc<Self>,
         name: &SceneName,
         new: &NewScene,
@@ -416,7 +416,7 @@ struct NewScene {
 
 impl NewScene {
     /// Whether a scene that is there is such a one.
-    fn is<K: SceneKind>(&self, scene: &SceneOf<K>) -> Result<bool, ServiceError> {
+    fn is<K: OneOfAny>(&self, scene: &SceneOf<K>) -> Result<bool, ServiceError> {
         let header = scene.header().expect("it is open");
         let settings = (header.edge_steps, header.stock, &header.settings)
             == (self.edge_steps, self.stock, &self.settings);
@@ -431,7 +431,7 @@ impl NewScene {
 }
 
 /// A scene of this kind.
-fn of_kind<K: SceneKind>(scene: AnyScene) -> Result<Arc<SceneOf<K>>, ServiceError> {
+fn of_kind<K: OneOfAny>(scene: AnyScene) -> Result<Arc<SceneOf<K>>, ServiceError> {
     K::of(scene).map_err(|scene| ServiceError::OtherKind {
         name: scene.name().as_str().to_owned(),
         kind: scene.kind(),

@@ -16,12 +16,12 @@ use parking_lot::{Mutex, RwLock, RwLockReadGuard, RwLockWriteGuard};
 use super::before::Before;
 use super::kind::SceneKind;
 use super::{Published, Seq};
-use crate::engine::{Access, Cursor, Engine, Held, Side};
+use crate::engine::{Access, Cursor, Held, Side};
 use crate::geometry::{CubeId, Effect, Place};
 use crate::log::Cubes;
 
 /// The bodies of a scene.
-pub struct BodySet<K: SceneKind> {
+pub(super) struct BodySet<K: SceneKind> {
     state: RwLock<State<K>>,
     /// Empty, with the room that the last changes took: used in turn with the one in the state, so that a busy scene does not ask for
     /// memory again and again.
@@ -144,22 +144,7 @@ impl<K: SceneKind> BodySet<K> {
 
     /// Number of bodies in the engine.
     pub(super) fn len(&self) -> u64 {
-        self.look_at(|engine| K::count(&K::totals(engine)))
-    }
-
-    /// Reads the engine, which may be ahead of the durable state.
-    pub(super) fn look_at<T>(&self, look: impl FnOnce(&K::Engine) -> T) -> T {
-        look(&self.state.read().engine)
-    }
-
-    /// Takes a step of a change that was noted, while nobody reads.
-    pub(super) fn step_of<T>(&self, step: impl FnOnce(&mut K::Engine) -> T) -> T {
-        self.write(|state| {
-            state.is_whole = false;
-            let result = step(&mut state.engine);
-            state.is_whole = true;
-            result
-        })
+        self.look(|engine| K::count(&K::totals(engine)))
     }
 
     fn write<T>(&self, write: impl FnOnce(&mut State<K>) -> T) -> T {
@@ -174,13 +159,20 @@ impl<K: SceneKind> BodySet<K> {
     }
 }
 
-impl Access for BodySet<Cubes> {
-    fn look<T>(&self, look: impl FnOnce(&Engine) -> T) -> T {
-        self.look_at(look)
+impl<K: SceneKind> Access<K::Engine> for BodySet<K> {
+    /// Reads the engine, which may be ahead of the durable state.
+    fn look<T>(&self, look: impl FnOnce(&K::Engine) -> T) -> T {
+        look(&self.state.read().engine)
     }
 
-    fn step<T>(&self, step: impl FnOnce(&mut Engine) -> T) -> T {
-        self.step_of(step)
+    /// Takes a step of a change that was noted, while nobody reads.
+    fn step<T>(&self, step: impl FnOnce(&mut K::Engine) -> T) -> T {
+        self.write(|state| {
+            state.is_whole = false;
+            let result = step(&mut state.engine);
+            state.is_whole = true;
+            result
+        })
     }
 }
 
@@ -276,6 +268,7 @@ mod tests {
     use std::sync::atomic::Ordering;
 
     use super::*;
+    use crate::engine::Engine;
     use crate::engine::Op;
     use crate::geometry::{CUBES_MAX, Edge, Totals};
     use crate::random::Random;

@@ -20,6 +20,7 @@ use super::next_id::NextId;
 use super::scene::{Condition, SceneOf};
 use super::upkeep::Upkeep;
 use super::{Applied, Motion, Operations, Published, Seq, ServiceError, Submission, meters};
+use crate::engine::Access;
 use crate::engine::Counts;
 use crate::geometry::Effect;
 use crate::log::{KeyRecord, Log, LogError, Record, RecordedOutcome};
@@ -202,7 +203,7 @@ impl<K: SceneKind> Writer<K> {
                 Err(ServiceError::KeyReused)
             });
         }
-        let accepted = self.feed.set.look_at(|engine| {
+        let accepted = self.feed.set.look(|engine| {
             let judging = Judging {
                 engine,
                 newest: group.newest().unwrap_or(self.published).seq,
@@ -274,7 +275,7 @@ impl<K: SceneKind> Writer<K> {
             published = Published {
                 seq: Seq(published.seq.0 + 1),
                 at_ms: now_ms().max(published.at_ms),
-                totals: self.feed.set.look_at(K::totals),
+                totals: self.feed.set.look(K::totals),
             };
             volume_removed = K::removed(&published.totals) - before;
             group.net.push(accepted.net);

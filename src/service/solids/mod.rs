@@ -11,15 +11,11 @@ mod codec;
 mod shapes;
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
 
-use super::any::AnyScene;
 use super::kind::SceneKind;
-use super::scene::SceneOf;
-use super::set::BodySet;
 use super::{ServiceConfig, ServiceError};
 use crate::engine::solids::{self, Body, Effect, Engine, ErrorMax, Judged, Op, Stock};
-use crate::engine::{Cursor, solids::recount};
+use crate::engine::{Access, Cursor, solids::recount};
 use crate::geometry::convex::{Point, Solid};
 use crate::geometry::{Bounds, CubeId};
 use crate::log::{ColumnReader, ColumnWriter, Header, Kind, Malformed, Reader};
@@ -29,9 +25,6 @@ pub use shapes::{NamedShape, Shapes};
 /// Scenes of solids.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub struct Solids;
-
-/// A scene of solids.
-pub type SolidScene = SceneOf<Solids>;
 
 /// The totals of a scene of solids.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
@@ -143,7 +136,7 @@ impl SceneKind for Solids {
         effect.deleted.len() + effect.inserted.len() <= STEP_BODIES
     }
 
-    fn apply_in_steps(set: &BodySet<Self>, effect: &Effect) -> bool {
+    fn apply_in_steps(access: &impl Access<Engine>, effect: &Effect) -> bool {
         let deletions = effect.deleted.chunks(STEP_BODIES).map(|some| Effect {
             deleted: some.to_vec(),
             inserted: Vec::new(),
@@ -153,7 +146,7 @@ impl SceneKind for Solids {
             inserted: some.to_vec(),
         });
         let mut steps = deletions.chain(insertions);
-        steps.all(|step| set.step_of(|engine| engine.apply(&step).is_ok()))
+        steps.all(|step| access.step(|engine| engine.apply(&step).is_ok()))
     }
 
     fn note_near((): &mut (), _: CubeId, _: &Body) {}
@@ -177,17 +170,6 @@ impl SceneKind for Solids {
         SolidTotals {
             union: recount(stock, bodies.into_iter()),
             error_max: ErrorMax::default(),
-        }
-    }
-
-    fn any(scene: Arc<SolidScene>) -> AnyScene {
-        AnyScene::Solids(scene)
-    }
-
-    fn of(scene: AnyScene) -> Result<Arc<SolidScene>, AnyScene> {
-        match scene {
-            AnyScene::Solids(scene) => Ok(scene),
-            AnyScene::Cubes(_) => Err(scene),
         }
     }
 }
