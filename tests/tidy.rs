@@ -27,16 +27,6 @@ const ROOMS_OF_FLOATS: [&str; 5] = [
     "src/engine/solids/vector.rs",
 ];
 
-/// Rooms in which siblings may still import each other: circles that are to be opened there, and the room then removed here.
-const OPEN_ROOMS: [&str; 6] = [
-    "src/engine/solids",
-    "src/log",
-    "src/service",
-    "src/toolpath",
-    "src/wire",
-    "src/wire/http",
-];
-
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
@@ -224,14 +214,10 @@ fn no_two_siblings_import_each_other() {
     assert!(imports.len() > 50, "imports are found: {}", imports.len());
     let names =
         |one: &String, other: &String| imports.get(one).is_some_and(|all| all.contains(other));
-    let is_open = |one: &str| {
-        let room = Path::new(one).parent().unwrap();
-        OPEN_ROOMS.iter().any(|open| room == Path::new(open))
-    };
     for (one, others) in &imports {
-        for other in others.iter().filter(|other| names(other, one)) {
+        for other in others {
             assert!(
-                is_open(one),
+                !names(other, one),
                 "{one} and {other} import each other: move what both need below them, or join them"
             );
         }

@@ -4,70 +4,20 @@ mod calls;
 mod control;
 
 use std::collections::VecDeque;
-use std::path::PathBuf;
 
 use super::block::{Block, Manner};
 use super::dialect::{self, Dialect};
 use super::event::{Event, Fault, Warning};
 use super::expression::{Name, Reader, Unreadable, Values};
 use super::flow::{self, Control, Keyword, Label};
-use super::frames::SYSTEMS;
 use super::machine::{After, Machine, Modes};
+use super::options::Options;
 use super::parameters::{Kept, Parameters, SYSTEM};
 use super::text::Text;
 use super::tools::ToolTable;
 
 /// Lines run without a move or a dwell before a loop is taken to be endless.
 const IDLE_LINES_MAX: u64 = 1_000_000;
-
-/// How rapids go.
-#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
-pub enum RapidPath {
-    /// Straight.
-    #[default]
-    Straight,
-    /// Each axis at its own (the same) speed, as Fanuc and Haas do when nothing else is set: an axis with less to go stops earlier.
-    Dogleg,
-}
-
-/// How a program is read.
-#[derive(Clone, Debug)]
-pub struct Options {
-    /// The controller it is written for; guessed from the text when none is given.
-    pub dialect: Option<Dialect>,
-    /// Whether what follows a `/` is left out; by the dialect when not given.
-    pub block_delete: Option<bool>,
-    /// Lengths and diameters of the tools.
-    pub tools: ToolTable,
-    /// Where G54 to G59.3 begin, in one frame for all. Units: mm.
-    pub origins: [Option<[f64; 3]>; SYSTEMS],
-    /// Where the machine's zero and reference points are, seen from the first work system. Units: mm.
-    pub home: Option<[f64; 3]>,
-    /// How rapids go.
-    pub rapid_path: RapidPath,
-    /// Splines are cut into chords no farther from them than this. Units: mm.
-    pub tolerance: f64,
-    /// Where files with subprograms are.
-    pub directory: Option<PathBuf>,
-    /// Whether a warning refuses the program.
-    pub strict: bool,
-}
-
-impl Default for Options {
-    fn default() -> Self {
-        Self {
-            dialect: None,
-            block_delete: None,
-            tools: ToolTable::default(),
-            origins: [None; SYSTEMS],
-            home: None,
-            rapid_path: RapidPath::Straight,
-            tolerance: 0.01,
-            directory: None,
-            strict: false,
-        }
-    }
-}
 
 /// A program being run: an iterator of what it does. After an error there is nothing more.
 #[derive(Debug)]

@@ -4,81 +4,11 @@
 
 use smallvec::SmallVec;
 
-use super::certify::{self, Near, Value, Way};
-use super::exact::{self, Homogeneous};
+use super::certify::{Near, Value, Way};
+use super::exact;
+use super::face::{Arithmetic, Face, Place, Vertex, side};
 use super::lanes::{Verdict, separate};
-use super::piece::{Face, Piece, Position};
-
-/// Where a vertex of the union is, exactly.
-#[derive(Clone, Copy, Debug)]
-pub(super) enum Place<'a> {
-    /// At a lattice point.
-    Lattice([i32; 3]),
-    /// Where three planes meet in one point.
-    Meeting([&'a Face; 3]),
-}
-
-/// A point on a line: exact and rough.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Vertex<'a> {
-    pub(super) near: Near,
-    pub(super) place: Place<'a>,
-}
-
-impl<'a> Vertex<'a> {
-    /// A vertex of a piece.
-    #[inline]
-    pub(super) fn of(piece: &'a Piece, vertex: u16) -> Self {
-        let corner = &piece.corners[usize::from(vertex)];
-        let place = match corner.position {
-            Position::Lattice(point) => Place::Lattice(point),
-            Position::Meeting(faces) => Place::Meeting(faces.map(|face| piece.face(face))),
-        };
-        Self {
-            near: corner.near,
-            place,
-        }
-    }
-
-    /// Exactly where it is.
-    pub(super) fn homogeneous(&self) -> Homogeneous {
-        match self.place {
-            Place::Lattice(point) => Homogeneous::lattice(point),
-            Place::Meeting(faces) => Homogeneous::meeting(faces.map(|face| &face.plane)),
-        }
-    }
-}
-
-/// How signs are found.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(super) enum Arithmetic {
-    /// By the filter, and exactly where it is unsure.
-    Filtered,
-    /// Always exactly: the twin that the filter is compared with.
-    Exact,
-}
-
-/// On which side of a face a vertex lies: -1 inside, 0 on it, 1 outside; and the rough value.
-#[inline]
-pub(super) fn side(arithmetic: Arithmetic, face: &Face, vertex: &Vertex) -> (i32, Value) {
-    let value = face.rough.value(&vertex.near.at);
-    if arithmetic == Arithmetic::Filtered
-        && let Some(sign) = certify::certain(value, face.rough.bound(vertex.near.slack))
-    {
-        #[cfg(feature = "paranoid")]
-        assert_eq!(sign, exact_side(face, vertex), "the filter's bound holds");
-        return (sign, value);
-    }
-    (exact_side(face, vertex), value)
-}
-
-/// The same from exact integers.
-pub(super) fn exact_side(face: &Face, vertex: &Vertex) -> i32 {
-    match vertex.place {
-        Place::Lattice(point) => exact::side_of_lattice(&face.plane, point),
-        Place::Meeting(faces) => exact::side_of_meeting(&face.plane, faces.map(|face| &face.plane)),
-    }
-}
+use super::piece::Piece;
 
 /// A directed line, held by two planes.
 #[derive(Clone, Copy, Debug)]

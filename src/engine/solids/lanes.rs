@@ -13,7 +13,7 @@
 )]
 
 use super::certify::{GRAIN, Near, Room};
-use super::piece::{Corner, Face};
+use super::face::{Corner, Face};
 pub(super) use super::vector::LANES;
 use super::vector::{Lanes, Vector};
 

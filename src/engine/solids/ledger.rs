@@ -68,9 +68,10 @@ use crate::geometry::EdgeKind;
 use crate::geometry::convex::Plane;
 
 use super::certify::{Near, Room};
-use super::clip::{Arithmetic, Line, Place, Vertex, exact_side};
+use super::clip::Line;
 use super::double::{Doubles, RELATIVE_ERROR, cross, dot};
 use super::exact::{Flag, Homogeneous, Quantity, Unit};
+use super::face::{Arithmetic, Place, Vertex, exact_side};
 use super::lanes::{Verdict, separate, twice};
 use super::measures::{AREA_UNIT, ErrorMax, LENGTH_UNIT, Measures, VOLUME_UNIT};
 use super::piece::Piece;

@@ -12,7 +12,8 @@ use smallvec::SmallVec;
 use crate::geometry::EdgeKind;
 
 use super::certify::Room;
-use super::clip::{Arithmetic, Inside, Line, Vertex, clip};
+use super::clip::{Inside, Line, clip};
+use super::face::{Arithmetic, Vertex};
 use super::features::Features;
 use super::lanes::{Rooms, meeting};
 use super::ledger::Ledger;

@@ -19,14 +19,15 @@ use smallvec::SmallVec;
 use crate::geometry::convex::Plane;
 
 use super::certify::{Room, Value};
-use super::clip::{Arithmetic, Line, Vertex, exact_side, side};
+use super::clip::Line;
 use super::exact::cross_wide;
+use super::face::{Arithmetic, Face, Position, Vertex, exact_side, side};
 use super::features::Features;
 use super::lanes::{Rooms, separates};
 use super::ledger::{Books, Ledger};
 use super::lines::{Candidates, Member, NEW, Phase, Scratch};
 use super::measures::{ErrorMax, Measures};
-use super::piece::{Face, Piece, Position};
+use super::piece::Piece;
 use super::sector::Touch;
 
 /// Facets with more vertices are not worth a separate test against all planes of the new piece.
@@ -147,7 +148,7 @@ impl<'a> Search<'a, '_> {
         let piece = self.members[member].piece;
         let edge = piece.edge(edge);
         let faces = [piece.face(edge.left), piece.face(edge.right)];
-        let ends = [edge.tail, edge.head].map(|vertex| Vertex::of(piece, vertex));
+        let ends = [edge.tail, edge.head].map(|vertex| piece.vertex(vertex));
         let direction = match [edge.tail, edge.head]
             .map(|vertex| piece.corners[usize::from(vertex)].position)
         {
@@ -276,7 +277,7 @@ impl<'a> Search<'a, '_> {
         for (vertex, corner) in (0..).zip(&piece.corners) {
             let sign = match face.rough.side(&corner.near) {
                 Some(sign) if arithmetic == Arithmetic::Filtered => sign,
-                _ => exact_side(face, &Vertex::of(piece, vertex)),
+                _ => exact_side(face, &piece.vertex(vertex)),
             };
             above |= sign > 0;
             below |= sign < 0;
@@ -299,14 +300,14 @@ impl<'a> Search<'a, '_> {
         if !has_both_sides(
             b.loop_of(g)
                 .iter()
-                .map(|&vertex| side(arithmetic, faces[0], &Vertex::of(b, vertex)).0),
+                .map(|&vertex| side(arithmetic, faces[0], &b.vertex(vertex)).0),
         ) {
             return;
         }
         let points = a.loop_of(f);
         let sides: SmallVec<[(i32, Value); 32]> = points
             .iter()
-            .map(|&vertex| side(arithmetic, faces[1], &Vertex::of(a, vertex)))
+            .map(|&vertex| side(arithmetic, faces[1], &a.vertex(vertex)))
             .collect();
         if !has_both_sides(sides.iter().map(|(side, _)| *side)) {
             return;
@@ -370,7 +371,7 @@ fn ends_in_facet<'a>(
         // The line is normal of the facet x normal of the other: walking counterclockwise, the facet is entered by the line where the walk
         // comes up through the other plane.
         if here * there < 0 {
-            let ends = [points[index], points[next]].map(|vertex| Vertex::of(piece, vertex));
+            let ends = [points[index], points[next]].map(|vertex| piece.vertex(vertex));
             let edge = Line::new([line.faces[0], piece.face(across[index])], line.direction);
             let cut = edge.cut(line.faces[1], [&ends[0], &ends[1]], [value, next_value]);
             if here < 0 {
@@ -380,7 +381,7 @@ fn ends_in_facet<'a>(
             }
         } else if here == 0 {
             let (last, _) = sides[index.checked_sub(1).unwrap_or(sides.len() - 1)];
-            let vertex = Vertex::of(piece, points[index]);
+            let vertex = piece.vertex(points[index]);
             if last < 0 || there > 0 {
                 tail = Some(vertex);
             } else {

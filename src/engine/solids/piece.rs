@@ -8,60 +8,9 @@
 use crate::geometry::Bounds;
 use crate::geometry::convex::{Edge, Plane, Solid};
 
-use super::certify::{Near, Room, Rough};
-use super::clip::{Arithmetic, Vertex, side};
-use super::exact;
+use super::certify::{Near, Room};
+use super::face::{Arithmetic, Corner, Face, Place, Position, Vertex, side};
 use super::lanes::{Block, Slabs};
-
-/// A plane of a facet, exact and rough.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Face {
-    pub(super) plane: Plane,
-    pub(super) rough: Rough,
-}
-
-impl Face {
-    pub(super) fn of(plane: &Plane) -> Self {
-        Self {
-            plane: *plane,
-            rough: Rough::of(plane),
-        }
-    }
-
-    /// Whether the two are one oriented plane.
-    #[inline]
-    pub(super) fn same(&self, other: &Self) -> bool {
-        self.plane == other.plane
-    }
-
-    /// Whether the two are one plane with exchanged sides.
-    #[inline]
-    pub(super) fn opposite(&self, other: &Self) -> bool {
-        exact::opposite(&self.plane, &other.plane)
-    }
-
-    /// Whether the two planes are parallel.
-    #[inline]
-    pub(super) fn parallel(&self, other: &Self) -> bool {
-        exact::parallel(&self.plane, &other.plane)
-    }
-}
-
-/// Where a vertex of a piece is.
-#[derive(Clone, Copy, Debug)]
-pub(super) enum Position {
-    /// At a lattice point.
-    Lattice([i32; 3]),
-    /// Where three facets' planes meet.
-    Meeting([u16; 3]),
-}
-
-/// A vertex of a piece.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Corner {
-    pub(super) near: Near,
-    pub(super) position: Position,
-}
 
 /// A closed convex polyhedron, ready to be measured.
 #[derive(Clone, Debug)]
@@ -123,6 +72,20 @@ impl Piece {
             across,
             bounds: solid.bounds(),
         })
+    }
+
+    /// A vertex, exact and rough.
+    #[inline]
+    pub(super) fn vertex(&self, vertex: u16) -> Vertex<'_> {
+        let corner = &self.corners[usize::from(vertex)];
+        let place = match corner.position {
+            Position::Lattice(point) => Place::Lattice(point),
+            Position::Meeting(faces) => Place::Meeting(faces.map(|face| self.face(face))),
+        };
+        Vertex {
+            near: corner.near,
+            place,
+        }
     }
 
     /// Prepares what is given in parts: facets counterclockwise from outside, their normals outwards.
@@ -204,7 +167,7 @@ impl Piece {
         self.room.holds(&other.room)
             && (0..other.corners.len()).all(|vertex| {
                 let vertex = u16::try_from(vertex).expect("a solid has fewer than 2^16 vertices");
-                let vertex = Vertex::of(other, vertex);
+                let vertex = other.vertex(vertex);
                 self.faces
                     .iter()
                     .all(|face| side(arithmetic, face, &vertex).0 <= 0)

@@ -14,8 +14,8 @@ use smallvec::SmallVec;
 
 use crate::geometry::EdgeKind;
 
-use super::clip::{Arithmetic, Line};
-use super::piece::Face;
+use super::clip::Line;
+use super::face::{Arithmetic, Face};
 
 /// A piece that holds an interval of a line in its boundary.
 #[derive(Clone, Copy, Debug)]

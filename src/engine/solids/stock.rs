@@ -19,9 +19,9 @@ use crate::geometry::Bounds;
 use crate::geometry::convex::{Plane, Solid, VERTICES_MAX, edges_of};
 
 use super::certify::{Near, Room, Value};
-use super::clip::{Arithmetic, Place, Vertex, side};
 use super::exact::{Homogeneous, cross_wide, dot_wide};
-use super::piece::{Corner, Face, Parts, Piece, Position};
+use super::face::{Arithmetic, Corner, Face, Place, Position, Vertex, side};
+use super::piece::{Parts, Piece};
 
 /// Most vertices of a stock: 1,024.
 pub const STOCK_VERTICES_MAX: usize = 1 << 10;

@@ -6,7 +6,7 @@
 
 use smallvec::SmallVec;
 
-use super::clip::{Arithmetic, Place, Vertex, exact_side, side};
+use super::face::{Arithmetic, Place, Vertex, exact_side, side};
 use super::features::Features;
 use super::lanes::{Verdict, separate};
 use super::piece::Piece;
@@ -114,7 +114,7 @@ impl Court<'_> {
     }
 
     fn find(&mut self, vertex: u16) -> bool {
-        let vertex = Vertex::of(self.own.piece, vertex);
+        let vertex = self.own.piece.vertex(vertex);
         if self.other.piece.room.excludes(&vertex.near) {
             return false;
         }
@@ -152,7 +152,7 @@ impl Court<'_> {
     fn dominates_edge(&mut self, edge: u16) -> bool {
         let (own, other) = (self.own.piece, self.other.piece);
         let edge = own.edge(edge);
-        let ends = [edge.tail, edge.head].map(|vertex| Vertex::of(own, vertex));
+        let ends = [edge.tail, edge.head].map(|vertex| own.vertex(vertex));
         if !self.list_near([&ends[0], &ends[1]]) {
             return false;
         }
@@ -175,7 +175,7 @@ impl Court<'_> {
                     .copied()
                     .find(|vertex| ![edge.tail, edge.head].contains(vertex));
                 let off = off.expect("a facet has three vertices");
-                if exact_side(face, &Vertex::of(own, off)) > 0 {
+                if exact_side(face, &own.vertex(off)) > 0 {
                     return false;
                 }
             }
@@ -201,7 +201,7 @@ impl Court<'_> {
         let (own, other) = (self.own.piece, self.other.piece);
         let face = own.face(facet);
         let points = own.loop_of(facet);
-        let first = Vertex::of(own, points[0]);
+        let first = own.vertex(points[0]);
         if !self.list_near([&first, &first]) {
             return false;
         }
@@ -226,7 +226,7 @@ impl Court<'_> {
 
 /// Whether vertices of two pieces are one point. A vertex at a lattice point is known as one, however it was found.
 fn is_one_point(one: &Piece, vertex: u16, other: &Piece, other_vertex: u16) -> bool {
-    let (one, other) = (Vertex::of(one, vertex), Vertex::of(other, other_vertex));
+    let (one, other) = (one.vertex(vertex), other.vertex(other_vertex));
     match (one.place, other.place) {
         (Place::Lattice(a), Place::Lattice(b)) => a == b,
         (Place::Meeting(_), Place::Meeting(faces)) => {

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::clip::Arithmetic;
+use super::face::Arithmetic;
 use super::features::Features;
 use super::lines::Member;
 use super::marginal::{Kernel, Marginal};

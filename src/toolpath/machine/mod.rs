@@ -21,7 +21,7 @@ use super::cycle::{self, Depths, Stroke};
 use super::dialect::Dialect;
 use super::event::{Event, Warning};
 use super::frames::{Frames, SYSTEMS, System};
-use super::interpreter::{Options, RapidPath};
+use super::options::{Options, RapidPath};
 use super::path::{Motion, Move, Plane};
 use super::spline::{self, Control};
 use super::tools::ToolTable;
