@@ -6,6 +6,8 @@ use smallvec::SmallVec;
 
 use super::certify::{Near, Value, Way};
 use super::exact;
+#[cfg(feature = "paranoid")]
+use super::face::exact_side;
 use super::face::{Arithmetic, Face, Place, Vertex, side};
 use super::lanes::{Verdict, separate};
 use super::piece::Piece;
