@@ -551,7 +551,10 @@ fn each_line_is_a_change_and_a_busy_server_is_waited_for() {
         let state = state.lock().unwrap();
         assert_eq!(
             state.settings,
-            Some(json!({"edge": 2.0, "steps_per_unit": 1000, "unit": "mm"}))
+            Some(json!({
+                "edge": 2.0, "steps_per_unit": 1000, "unit": "mm",
+                "density": 1.0, "anchor": "corner", "rounding": "nearest",
+            }))
         );
         // A change a line, in their order, with its machine time.
         assert_eq!(state.sizes, [0, 10_001, 10_000]);
