@@ -471,14 +471,20 @@ fn properties(boxes: &[[[f64; 3]; 2]]) -> SolidProperties {
 #[test]
 fn properties_are_those_of_the_textbook() {
     let shown = properties(&[[[0.0, 0.0, 2.5], [6.0, 6.0, 8.5]]]);
-    assert_eq!((shown.solids, shown.volume, shown.area), (1, 216.0, 216.0));
     assert_eq!(
-        (shown.edge_length.total, shown.edge_length.convex),
+        (shown.solids, shown.measures.volume, shown.measures.area),
+        (1, 216.0, 216.0)
+    );
+    assert_eq!(
+        (
+            shown.measures.edge_length.total,
+            shown.measures.edge_length.convex
+        ),
         (72.0, 72.0)
     );
-    assert_eq!(shown.mass, 432.0);
-    assert_eq!(shown.centroid, Some([3.0, 3.0, 5.5]));
-    for (axis, row) in shown.inertia.iter().enumerate() {
+    assert_eq!(shown.measures.mass, 432.0);
+    assert_eq!(shown.measures.centroid, Some([3.0, 3.0, 5.5]));
+    for (axis, row) in shown.measures.inertia.iter().enumerate() {
         for (other, value) in row.iter().enumerate() {
             let expected = if axis == other { 2592.0 } else { 0.0 };
             assert!((value - expected).abs() < 1e-9, "{value}");
@@ -487,14 +493,17 @@ fn properties_are_those_of_the_textbook() {
     let bounds = shown.bounds.unwrap();
     assert_eq!((bounds.min, bounds.max), ([0.0, 0.0, 2.5], [6.0, 6.0, 8.5]));
     assert_eq!(
-        shown.exact.volume.value,
+        shown.measures.exact.volume.value,
         (216_000_000_000_i64 * 96).to_string()
     );
-    assert_eq!(shown.exact.volume.divisor, "96");
-    assert!(shown.error_max.volume > 0.0 && shown.error_max.volume < 1e-6);
+    assert_eq!(shown.measures.exact.volume.divisor, "96");
+    assert!(shown.measures.error_max.volume > 0.0 && shown.measures.error_max.volume < 1e-6);
     let none = properties(&[]);
-    assert_eq!((none.solids, none.volume, none.centroid), (0, 0.0, None));
-    assert_eq!(none.inertia, [[0.0; 3]; 3]);
+    assert_eq!(
+        (none.solids, none.measures.volume, none.measures.centroid),
+        (0, 0.0, None)
+    );
+    assert_eq!(none.measures.inertia, [[0.0; 3]; 3]);
     let text = serde_json::to_string(&shown).unwrap();
     assert!(!text.contains("-0.0"), "{text}");
 }
@@ -512,7 +521,7 @@ fn inertia_is_as_far_off_as_it_says_wherever_the_part_is() {
     let mass = 12.0;
     let expected = [mass * 13.0 / 12.0, mass * 10.0 / 12.0, mass * 5.0 / 12.0];
     for (axis, expected) in expected.into_iter().enumerate() {
-        assert!((alone.inertia[axis][axis] / expected - 1.0).abs() < 1e-12);
+        assert!((alone.measures.inertia[axis][axis] / expected - 1.0).abs() < 1e-12);
     }
     for far in [
         [3000.0, 0.0, 0.0],
@@ -523,13 +532,17 @@ fn inertia_is_as_far_off_as_it_says_wherever_the_part_is() {
             .map(|corners| corners.map(|corner| [0, 1, 2].map(|axis| corner[axis] + far[axis])));
         let far_away = properties(&moved);
         for (axis, away) in far.into_iter().enumerate() {
-            let [here, there] = [&near, &far_away].map(|shown| shown.centroid.unwrap()[axis]);
-            assert!((there - away - here).abs() <= far_away.error_max.centroid + 1e-9);
+            let [here, there] =
+                [&near, &far_away].map(|shown| shown.measures.centroid.unwrap()[axis]);
+            assert!((there - away - here).abs() <= far_away.measures.error_max.centroid + 1e-9);
             for other in 0..3 {
-                let [here, there] = [&near, &far_away].map(|shown| shown.inertia[axis][other]);
-                assert!((there - here).abs() <= far_away.error_max.inertia + 1e-9 * here.abs());
+                let [here, there] =
+                    [&near, &far_away].map(|shown| shown.measures.inertia[axis][other]);
+                assert!(
+                    (there - here).abs() <= far_away.measures.error_max.inertia + 1e-9 * here.abs()
+                );
             }
         }
     }
-    assert!(near.error_max.centroid < 1e-9 && near.error_max.inertia < 1e-6);
+    assert!(near.measures.error_max.centroid < 1e-9 && near.measures.error_max.inertia < 1e-6);
 }

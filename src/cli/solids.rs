@@ -217,7 +217,7 @@ fn read_line(json: &[u8], scene: &mut Scene) -> Result<Option<Op>, Failure> {
     Ok(Some(match change {
         Change::Insert(solid) => {
             let body = solids::body(&solid, &scene.shapes, scene.scale)?;
-            scene.insertion(solid.id, body)?
+            scene.insertion(solid.id.map(|id| id.id.0), body)?
         }
         Change::Delete(id) => Op::Delete(SolidId(id)),
     }))

@@ -49,7 +49,7 @@ pub use meters::describe_metrics;
 pub use offline::{AnyAudit, Offline, OfflineAudit};
 pub use registry::Service;
 pub use scene::{Scene, SceneOf};
-pub use solids::{NamedShape, Shapes, SolidTotals, Solids};
+pub use solids::{NamedShape, SHAPES_MAX, Shapes, SolidTotals, Solids};
 
 /// Most operations of one change: what one record of the log holds.
 pub const CHANGE_OPERATIONS_MAX: usize = crate::log::RECORD_CUBES_MAX;

@@ -7,22 +7,52 @@ use std::time::Duration;
 
 use sha2::{Digest, Sha256};
 
-use super::convert::{Settings, mass_properties};
+use super::convert::Settings;
+use super::kind::{HistoryTotals, Opened, ShownKind};
 use super::problem::{Code, Fault, Problem};
+use super::solids::{NewSolids, SolidSettings};
 use crate::geometry::{CubeId, Place};
 use crate::service::{
-    Applied, Counting, HistoryRow, Motion, Operations, Published, Scene, SceneName, Seq, Service,
-    ServiceError, Submission,
+    AnyScene, Applied, Counting, Cubes, HistoryRow, Motion, Operations, Published, Scene,
+    SceneKind, SceneName, SceneOf, Seq, Service, ServiceError, SolidScene, Submission,
 };
 
-/// The settings that [`create`] gave a scene, read once in its life; none when they are in a form that is not known.
-pub(super) fn settings(scene: &Scene) -> Option<Arc<Settings>> {
-    scene.settings_as(Settings::from_text)
+/// The settings that a scene was given when it was created, read once in its life; none when they are in a form that is not known.
+pub(super) fn settings<K: ShownKind>(scene: &SceneOf<K>) -> Option<Arc<K::Settings>> {
+    scene.settings_as(K::settings)
+}
+
+/// A scene of cubes with its settings.
+pub(super) fn open(service: &Service, name: &str) -> Result<(Arc<Scene>, Arc<Settings>), Problem> {
+    with_settings(service.scene(name)?)
+}
+
+/// A scene of solids with its settings.
+pub(super) fn open_solids(
+    service: &Service,
+    name: &str,
+) -> Result<(Arc<SolidScene>, Arc<SolidSettings>), Problem> {
+    with_settings(service.solid_scene(name)?)
+}
+
+/// A scene of either kind with its settings.
+pub(super) fn open_any(service: &Service, name: &str) -> Result<Opened, Problem> {
+    Ok(match service.any_scene(name)? {
+        AnyScene::Cubes(scene) => {
+            let (scene, settings) = with_settings(scene)?;
+            Opened::Cubes(scene, settings)
+        }
+        AnyScene::Solids(scene) => {
+            let (scene, settings) = with_settings(scene)?;
+            Opened::Solids(scene, settings)
+        }
+    })
 }
 
 /// A scene with its settings.
-pub(super) fn open(service: &Service, name: &str) -> Result<(Arc<Scene>, Arc<Settings>), Problem> {
-    let scene = service.scene(name)?;
+type WithSettings<K> = (Arc<SceneOf<K>>, Arc<<K as ShownKind>::Settings>);
+
+fn with_settings<K: ShownKind>(scene: Arc<SceneOf<K>>) -> Result<WithSettings<K>, Problem> {
     let Some(settings) = settings(&scene) else {
         // A scene that does not run says why by itself; one that runs has settings.
         scene.published()?;
@@ -54,6 +84,21 @@ pub(super) async fn create(
         .create(name, settings.edge(), settings.stock(), &settings.text())
         .await;
     Ok(created?)
+}
+
+/// Creates a scene of solids; true when it is new.
+pub(super) async fn create_solids(
+    service: &Service,
+    name: &SceneName,
+    wanted: &NewSolids,
+) -> Result<(Arc<SolidScene>, bool), Problem> {
+    let NewSolids {
+        settings,
+        stock,
+        shapes,
+    } = wanted;
+    let text = settings.text();
+    Ok(service.create_solids(name, *stock, shapes, &text).await?)
 }
 
 /// Drops a scene with its data.
@@ -89,12 +134,12 @@ pub(super) fn digest(kind: &str, body: &[u8]) -> [u8; 32] {
 }
 
 /// Makes the scene's cubes what they were at `to`. `body` is what the key, if any, stands for.
-pub(super) async fn revert(
-    scene: &Scene,
+pub(super) async fn revert<K: SceneKind>(
+    scene: &SceneOf<K>,
     to: Seq,
     key: Option<Box<str>>,
     body: &[u8],
-) -> Result<Applied, Problem> {
+) -> Result<Applied<K>, Problem> {
     let submission = Submission {
         operations: Operations::Revert(to),
         counting: Counting::Net,
@@ -105,12 +150,12 @@ pub(super) async fn revert(
 }
 
 /// The current totals, or past ones, or those after a wait.
-pub(super) async fn published(
-    scene: &Scene,
+pub(super) async fn published<K: SceneKind>(
+    scene: &SceneOf<K>,
     at: Option<u64>,
     wait: Option<u64>,
     wait_max: Duration,
-) -> Result<Published, Problem> {
+) -> Result<Published<K>, Problem> {
     match (at, wait) {
         (None, None) => Ok(scene.published()?),
         (Some(seq), None) => Ok(scene.at(Seq(seq)).await?),
@@ -122,7 +167,11 @@ pub(super) async fn published(
     }
 }
 
-async fn wait_for(scene: &Scene, seq: Seq, time: Duration) -> Result<Published, Problem> {
+async fn wait_for<K: SceneKind>(
+    scene: &SceneOf<K>,
+    seq: Seq,
+    time: Duration,
+) -> Result<Published<K>, Problem> {
     let Some(published) = scene.wait_for(seq, time).await? else {
         let newest = scene.published()?.seq.0;
         let detail = format!(
@@ -139,8 +188,8 @@ async fn wait_for(scene: &Scene, seq: Seq, time: Duration) -> Result<Published, 
 const HISTORY_PAGE_ROWS: usize = 1_000;
 
 /// Rows of the history on their way out, a page at a time.
-pub(super) struct HistoryRows {
-    scene: Arc<Scene>,
+pub(super) struct HistoryRows<K: SceneKind = Cubes> {
+    scene: Arc<SceneOf<K>>,
     /// Where to go on; none when there are no more.
     pub(super) next: Option<u64>,
     pub(super) to: u64,
@@ -148,10 +197,10 @@ pub(super) struct HistoryRows {
     left: u64,
 }
 
-impl HistoryRows {
+impl<K: SceneKind> HistoryRows<K> {
     /// Rows from one seq to another, and of moves from one number to another; what is left out has no bound.
     pub(super) fn new(
-        scene: Arc<Scene>,
+        scene: Arc<SceneOf<K>>,
         [from, to]: [Option<u64>; 2],
         [move_from, move_to]: [Option<u64>; 2],
         limit: u64,
@@ -169,7 +218,7 @@ impl HistoryRows {
     }
 
     /// The next rows; none when there are no more, or as many as were asked for.
-    pub(super) async fn page(&mut self) -> Result<Option<Vec<HistoryRow>>, ServiceError> {
+    pub(super) async fn page(&mut self) -> Result<Option<Vec<HistoryRow<K>>>, ServiceError> {
         let Some(from) = self.next.filter(|from| *from <= self.to) else {
             self.next = None;
             return Ok(None);
@@ -216,17 +265,23 @@ pub(super) fn point(at: [f64; 3], sent: &str, settings: &Settings) -> Result<[i3
 }
 
 /// Recounts everything and compares: the seq that it is as of, and the number of cubes.
-pub(super) async fn audit(scene: &Scene, settings: &Settings) -> Result<(Seq, u64), Problem> {
+pub(super) async fn audit<K: ShownKind>(
+    scene: &SceneOf<K>,
+    settings: &K::Settings,
+) -> Result<(Seq, u64), Problem> {
     let audit = scene.audit().await?;
-    if audit.kept == audit.recounted {
-        return Ok((audit.seq, audit.recounted.cubes));
+    if audit.is_equal() {
+        return Ok((audit.seq, K::count(&audit.recounted)));
     }
     let (name, seq) = (scene.name().as_str(), audit.seq.0);
     let shown = |totals| {
-        serde_json::to_value(mass_properties(Some(name), Some(seq), totals, settings))
+        serde_json::to_value(K::properties(Some(name), Some(seq), totals, settings))
             .expect("numbers and strings are JSON")
     };
-    let detail = format!("at seq {seq} the totals of scene {name:?} are not those of its cubes");
+    let detail = format!(
+        "at seq {seq} the totals of scene {name:?} are not those of its {}",
+        K::Properties::BODIES
+    );
     Err(Problem::new(Code::AuditDifference, detail)
         .with("seq", seq)
         .with("kept", shown(&audit.kept))

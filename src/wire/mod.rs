@@ -15,6 +15,7 @@ pub mod decode;
 pub mod documents;
 pub mod grpc;
 pub mod http;
+mod kind;
 mod objects;
 pub mod problem;
 pub mod solids;

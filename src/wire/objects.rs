@@ -29,6 +29,9 @@ macro_rules! written {
 
 pub(super) use {objects_only, written};
 
+/// The name of a struct that may be a list of three numbers, too, for those who read JSON in a way of their own.
+pub(super) const LIST_OR_OBJECT: &str = "list or object";
+
 /// Reads a struct from an object alone. Left to itself serde takes the list of its members' values for one, too.
 pub(super) struct ObjectOnly<T>(pub(super) T);
 

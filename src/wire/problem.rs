@@ -12,7 +12,7 @@ use serde::Serialize;
 use serde_json::{Map, Value, value::RawValue};
 use utoipa::ToSchema;
 
-use super::documents::{Id, IdForm};
+use super::documents::IdForm;
 use crate::engine::{Rejected, solids};
 use crate::service::ServiceError;
 
@@ -69,8 +69,8 @@ kinds! {
         "/openapi.json and /docs describe every path.";
     NoSuchScene "no-such-scene" 404 None, "There is no such scene",
         "Create it with PUT /v1/scenes/{scene}.";
-    NoSuchCube "no-such-cube" 404 None, "There is no such cube",
-        "No cube of the scene has this id now.";
+    NoSuchCube "no-such-cube" 404 None, "There is no such cube or solid",
+        "No cube or solid of the scene has this id now.";
     SeqNotReached "seq-not-reached" 404 None, "The scene has not come to this seq",
         "`newest` is the newest. ?wait=SEQ waits for one to come.";
     MethodNotAllowed "method-not-allowed" 405 None, "The path does not take this method",
@@ -82,9 +82,11 @@ kinds! {
     SceneExists "scene-exists" 409 None, "The scene exists with other settings",
         "`settings` are those it has. Settings are fixed for a scene's life: delete it first, or use another name.";
     IdConflict "id-conflict" 409 None, "An id is at another place already",
-        "A cube is moved by deleting and inserting its id in one change. Nothing of the change was applied; of a stream the first `committed_lines`.";
+        "A cube is moved, and a solid changed, by deleting and inserting its id in one change. Nothing of the change was applied; of a stream the first `committed_lines`.";
     OtherKind "other-kind" 409 None, "The scene is of another kind",
         "A scene is of cubes or of solids, for its life. This call is for the other kind; the detail names the scene's.";
+    ShapeExists "shape-exists" 409 None, "The shape cannot be defined",
+        "There is another shape of this name, and a shape never changes; or the scene has as many shapes as it may, 1,024. Take another name, or a shape that is there.";
     IdsExhausted "ids-exhausted" 409 None, "The server has no ids left to give",
         "Give the ids yourself.";
     SeqNotKept "seq-not-kept" 410 None, "This seq is no longer kept",
@@ -97,8 +99,8 @@ kinds! {
         "The detail lists the types that are. Content-Encoding is not taken.";
     Invalid "invalid" 422 None, "The request can be read but is wrong",
         "`errors` names the first hundred faults, each with its place and value. Nothing of the change was applied; of a stream the first `committed_lines`.";
-    SceneFull "scene-full" 422 None, "The scene would hold too many cubes",
-        "A scene holds at most 2^31 cubes.";
+    SceneFull "scene-full" 422 None, "The scene would hold too many cubes or solids",
+        "A scene holds at most 2^31 cubes, or 2^24 solids.";
     KeyReused "idempotency-key-reused" 422 None, "The idempotency key came before with another body",
         "A key stands for one body. Use a new key for a new change.";
     QueueFull "queue-full" 429 Some(1), "Too many changes are waiting",
@@ -422,8 +424,9 @@ impl From<ServiceError> for Problem {
             ServiceError::SeqNotReached { newest, .. } => {
                 problem(Code::SeqNotReached).with("newest", newest.0)
             }
-            // Never shown: a stream ends with the refusal that broke its chain, and nothing is defined from here.
-            ServiceError::Abandoned | ServiceError::NotDefined { .. } => problem(Code::Internal),
+            ServiceError::NotDefined { .. } => problem(Code::ShapeExists),
+            // Never shown: a stream ends with the refusal that broke its chain.
+            ServiceError::Abandoned => problem(Code::Internal),
             ServiceError::ShuttingDown => problem(Code::ShuttingDown),
             ServiceError::Storage { cause, full } => problem(if full {
                 Code::DiskFull
@@ -471,57 +474,4 @@ impl IntoResponse for Problem {
         }
         response
     }
-}
-
-/// A problem document: RFC 9457 with the members of this API.
-#[derive(Serialize, ToSchema)]
-#[schema(as = Problem)]
-pub struct ProblemDocument {
-    /// URI of the type: `/problems/CODE` on this server, which explains it.
-    #[schema(example = "/problems/invalid")]
-    r#type: String,
-    /// Summary of the type.
-    title: String,
-    /// HTTP status.
-    status: u16,
-    /// What is particular to this occurrence.
-    detail: String,
-    /// The first hundred faults of the request.
-    #[schema(nullable = false)]
-    errors: Option<Vec<Fault>>,
-    /// Line of the body (or of the stream) where reading stopped, from 1.
-    #[schema(nullable = false)]
-    line: Option<u64>,
-    /// Column in that line, from 1.
-    #[schema(nullable = false)]
-    column: Option<u64>,
-    /// Lines from the stream's beginning that are committed.
-    #[schema(nullable = false)]
-    committed_lines: Option<u64>,
-    /// The scene's seq after what was committed, null when the scene does not answer; of an audit, the seq it is as of.
-    seq: Option<u64>,
-    /// How far the replay is, 0 to 100.
-    #[schema(nullable = false)]
-    percent: Option<u8>,
-    /// Why the scene does not answer.
-    #[schema(nullable = false)]
-    cause: Option<String>,
-    /// The id in conflict.
-    #[schema(nullable = false)]
-    id: Option<Id>,
-    /// Oldest seq that is kept.
-    #[schema(nullable = false)]
-    oldest: Option<u64>,
-    /// Newest seq there is.
-    #[schema(nullable = false)]
-    newest: Option<u64>,
-    /// The settings that the scene has.
-    #[schema(nullable = false)]
-    settings: Option<super::convert::SettingsDocument>,
-    /// The totals that the scene answers with.
-    #[schema(nullable = false)]
-    kept: Option<super::convert::MassProperties>,
-    /// The totals of its cubes, recounted.
-    #[schema(nullable = false)]
-    recounted: Option<super::convert::MassProperties>,
 }

@@ -13,6 +13,7 @@ mod revert;
 mod scenes;
 mod server;
 mod simulation;
+mod solids;
 #[path = "../oracle/stop.rs"]
 mod stop;
 mod streams;

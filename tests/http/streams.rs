@@ -226,3 +226,16 @@ async fn a_full_queue_delays_a_stream_and_refuses_a_change() {
     join(post(1), rest).await.0.ok();
     assert_eq!(server.totals(scene).await["cubes"], 4);
 }
+
+/// A name alone is no operation: it must not stand for one with zeros in it.
+#[tokio::test]
+async fn the_name_of_an_operation_alone_is_refused() {
+    let server = Server::start().await;
+    let scene = server.scene("s", 1).await;
+    for line in [r#""insert""#, r#""delete""#] {
+        let refused = server.lines(&scene, line).await;
+        assert_eq!(refused.places(), [""], "{}", refused.text);
+        assert!(refused.text.contains("is no object with the member"));
+    }
+    assert_eq!(server.totals(&scene).await["seq"], 0);
+}

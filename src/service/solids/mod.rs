@@ -20,7 +20,7 @@ use crate::geometry::convex::{Point, Solid};
 use crate::geometry::{Bounds, CubeId};
 use crate::log::{ColumnReader, ColumnWriter, Header, Kind, Malformed, Reader};
 
-pub use shapes::{NamedShape, Shapes};
+pub use shapes::{NamedShape, SHAPES_MAX, Shapes};
 
 /// Scenes of solids.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]

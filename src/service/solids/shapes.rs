@@ -14,7 +14,7 @@ use crate::geometry::convex::{Point, Solid, VERTICES_MAX};
 use crate::log::{Malformed, Reader, put_varint};
 
 /// Most shapes of a scene. The shape of a body that is written is looked for among all of them.
-pub(super) const SHAPES_MAX: usize = 1024;
+pub const SHAPES_MAX: usize = 1024;
 
 const DEFINITION_VERSION: u8 = 1;
 

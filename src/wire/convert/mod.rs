@@ -22,6 +22,6 @@ pub(in crate::wire) use self::numbers::{OFF_LATTICE_MAX, float, nearest, whole};
 pub use self::settings::{Anchor, Rounding, Settings};
 pub use self::units::InvalidCoordinate;
 pub use self::wanted::{
-    DENSITY_MAX, InvalidSetting, STEPS_PER_UNIT_MAX, SettingsDocument, StockDocument,
+    DENSITY_MAX, InvalidSetting, KindName, STEPS_PER_UNIT_MAX, SettingsDocument, StockDocument,
     UNIT_BYTES_MAX,
 };

@@ -18,11 +18,27 @@ pub const UNIT_BYTES_MAX: usize = 32;
 /// Largest density: with it no moment of the largest scene overflows a float.
 pub const DENSITY_MAX: f64 = 1e200;
 
-/// Settings of a scene. As they are answered and stored they are complete; a client may leave out all but `edge`.
+/// What a scene holds, for its life.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+#[schema(as = SceneKind)]
+pub enum KindName {
+    /// Identical axis-aligned cubes.
+    #[default]
+    Cubes,
+    /// Convex solids, and shapes of several of them.
+    Solids,
+}
+
+/// Settings of a scene of cubes. As they are answered and stored they are complete; a client may leave out all but `edge`.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(remote = "Self", deny_unknown_fields)]
 #[schema(as = Settings)]
 pub struct SettingsDocument {
+    /// What the scene holds: cubes. Not answered.
+    #[serde(default, skip_serializing)]
+    #[schema(default = "cubes")]
+    pub kind: KindName,
     /// Edge of every cube: times `steps_per_unit` a whole number from 1 to 16,777,216. Units: user units.
     #[schema(example = 6.0, exclusive_minimum = 0)]
     pub edge: f64,
@@ -82,6 +98,7 @@ impl SettingsDocument {
     /// The defaults, with this edge in user units.
     pub fn with_edge(edge: f64) -> Self {
         Self {
+            kind: KindName::Cubes,
             edge,
             steps_per_unit: default_steps(),
             unit: default_unit(),
@@ -281,6 +298,7 @@ impl Settings {
     /// The settings as they are answered.
     pub fn document(&self) -> SettingsDocument {
         SettingsDocument {
+            kind: KindName::Cubes,
             edge: self.user(i64::from(self.edge.steps())),
             steps_per_unit: self.steps_per_unit.into(),
             unit: self.unit.clone(),

@@ -7,14 +7,21 @@ mod recover;
 #[cfg(test)]
 mod tests;
 
+use std::cell::{Cell, RefCell};
+
+use serde::Deserialize;
+
 pub use self::change::{change, change_faults, file_line, line};
 pub use self::message::{
     change_message, change_message_duplicates, message, message_duplicates, settings_message,
 };
-use super::convert::{InvalidSetting, Settings, SettingsDocument};
+use super::convert::{InvalidSetting, KindName, Settings, SettingsDocument};
 use super::documents::Revert;
 use super::problem::{Code, Fault, Faults, Problem};
-use crate::service::{Motion, Operations, Seq};
+use super::solids::{
+    self, DecodedSolids, NewSolids, Scale, ShapeDocument, SolidChange, SolidSettingsDocument,
+};
+use crate::service::{Motion, NamedShape, Operations, Seq, Shapes};
 
 /// A decoded atomic change.
 #[derive(Debug)]
@@ -25,6 +32,74 @@ pub struct Decoded {
     pub deletions: usize,
     /// What the change belongs to.
     pub motion: Motion,
+}
+
+/// Whether settings are of a scene of solids; they are of cubes when they do not say.
+pub(super) fn is_of_solids(body: &[u8]) -> bool {
+    #[derive(Deserialize)]
+    struct OfKind {
+        kind: KindName,
+    }
+    let read = serde_json::from_slice(body);
+    read.is_ok_and(|OfKind { kind }| kind == KindName::Solids)
+}
+
+/// Reads the settings of a scene of solids.
+/// # Errors
+/// [`Code::BadJson`], or [`Code::Invalid`] with every fault.
+pub(super) fn solid_settings(body: &[u8]) -> Result<NewSolids, Problem> {
+    let new = RefCell::new(None);
+    json::read(body, |wanted: &SolidSettingsDocument, faults| {
+        new.replace(solids::check(wanted, faults));
+    })?;
+    new.into_inner()
+        .ok_or_else(|| Problem::new(Code::Internal, "settings have neither faults nor meaning"))
+}
+
+/// Reads a shape of a scene of solids.
+/// # Errors
+/// [`Code::BadJson`], or [`Code::Invalid`] with every fault.
+pub(super) fn shape(body: &[u8], name: &str, scale: Scale) -> Result<NamedShape, Problem> {
+    let shape = RefCell::new(None);
+    json::read(
+        body,
+        |document: &ShapeDocument, faults| match solids::named_shape(name, document, scale) {
+            Ok(named) => {
+                shape.replace(Some(named));
+            }
+            Err((pointer, detail)) if !faults.cover(&pointer) => {
+                faults.push(Fault::at(pointer, detail, None));
+            }
+            Err(_) => {}
+        },
+    )?;
+    shape
+        .into_inner()
+        .ok_or_else(|| Problem::new(Code::Internal, "a shape has neither faults nor meaning"))
+}
+
+/// Reads an atomic change of solids.
+/// # Errors
+/// [`Code::BadJson`], [`Code::TooLarge`] above `solids_max`, or [`Code::Invalid`] with every fault.
+pub(super) fn solid_change(
+    body: &[u8],
+    shapes: &Shapes,
+    scale: Scale,
+    solids_max: usize,
+) -> Result<DecodedSolids, Problem> {
+    let (decoded, named) = (RefCell::new(None), Cell::new(0));
+    json::read(body, |change: &SolidChange, faults| {
+        named.set(change.delete.len() + change.insert.len());
+        if named.get() <= solids_max {
+            decoded.replace(solids::decoded(change, shapes, scale, faults));
+        }
+    })?;
+    if named.get() > solids_max {
+        return Err(too_many(solids_max));
+    }
+    decoded
+        .into_inner()
+        .ok_or_else(|| Problem::new(Code::Internal, "a change has neither faults nor meaning"))
 }
 
 /// Reads the settings of a scene.

@@ -8,6 +8,7 @@
 //!                   └──────── unreadable, unknown, repeated, missing ── Faults
 //! ```
 
+use std::borrow::Cow;
 use std::cell::RefCell;
 use std::collections::BTreeSet;
 use std::fmt;
@@ -21,6 +22,7 @@ use serde::forward_to_deserialize_any;
 use serde_json::value::RawValue;
 
 use crate::wire::documents::{NO_WHOLE_NUMBER, decimal};
+use crate::wire::objects::LIST_OR_OBJECT;
 use crate::wire::problem::{Fault, Faults};
 
 /// Reads a document with stand-ins for what is at fault; none when its types themselves refuse a value that has no fault of these kinds.
@@ -174,7 +176,7 @@ struct Recovering<'a, 'de> {
 }
 
 impl<'de> Recovering<'_, 'de> {
-    fn note(&self, detail: impl Into<std::borrow::Cow<'static, str>>) {
+    fn note(&self, detail: impl Into<Cow<'static, str>>) {
         let fault = Fault::at(self.at.to_string(), detail, self.raw);
         self.notes.faults.borrow_mut().push(fault);
     }
@@ -233,6 +235,9 @@ impl<'de> Recovering<'_, 'de> {
 
 type Member<'de> = (&'static str, Option<&'de RawValue>);
 
+/// The same of an object whose members have names of the client's own.
+type NamedMember<'de> = (Cow<'static, str>, Option<&'de RawValue>);
+
 impl<'de> Deserializer<'de> for Recovering<'_, 'de> {
     type Error = Interrupted;
 
@@ -249,6 +254,14 @@ impl<'de> Deserializer<'de> for Recovering<'_, 'de> {
     fn deserialize_u64<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Interrupted> {
         let whole = self.value(|raw| decimal(raw.get()).ok_or(NO_WHOLE_NUMBER));
         visitor.visit_u64(whole.unwrap_or_default())
+    }
+
+    fn deserialize_u16<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Interrupted> {
+        let whole = self.value(|raw| {
+            let small = decimal(raw.get()).and_then(|number| u16::try_from(number).ok());
+            small.ok_or("is not a whole number from 0 to 65535")
+        });
+        visitor.visit_u16(whole.unwrap_or_default())
     }
 
     fn deserialize_f64<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Interrupted> {
@@ -289,6 +302,34 @@ impl<'de> Deserializer<'de> for Recovering<'_, 'de> {
         })
     }
 
+    /// An object whose members have names of the client's own.
+    fn deserialize_map<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Interrupted> {
+        let mut members: Vec<NamedMember<'de>> = Vec::new();
+        let read = self.raw.map(|raw| {
+            each_member(raw, |name, raw| {
+                if members.iter().any(|(earlier, _)| *earlier == name) {
+                    let at = Pointer::Member(self.at, &name);
+                    let member = Recovering {
+                        raw: Some(raw),
+                        at: &at,
+                        notes: self.notes,
+                    };
+                    member.note("stands twice");
+                } else {
+                    members.push((name.into(), Some(raw)));
+                }
+            })
+        });
+        if let Some(Err(_)) = read {
+            self.note("is not an object");
+        }
+        visitor.visit_map(Members {
+            of: self,
+            sent: members.into_iter(),
+            next: None,
+        })
+    }
+
     /// A list of so many numbers: there are no other lists of a fixed length in the API.
     fn deserialize_tuple<V: Visitor<'de>>(
         self,
@@ -318,6 +359,10 @@ impl<'de> Deserializer<'de> for Recovering<'_, 'de> {
         fields: &'static [&'static str],
         visitor: V,
     ) -> Result<V::Value, Interrupted> {
+        let is_list = |raw: &RawValue| raw.get().starts_with('[');
+        if name == LIST_OR_OBJECT && self.raw.is_some_and(is_list) {
+            return self.deserialize_tuple(COORDINATES, visitor);
+        }
         let sent = self.members(fields);
         let is_object = sent.is_some();
         let mut members = sent.unwrap_or_default();
@@ -332,9 +377,10 @@ impl<'de> Deserializer<'de> for Recovering<'_, 'de> {
             }
             members.push((field, None));
         }
+        let named = members.into_iter().map(|(name, raw)| (name.into(), raw));
         let read = visitor.visit_map(Members {
             of: self,
-            sent: members.into_iter(),
+            sent: named.collect::<Vec<NamedMember<'de>>>().into_iter(),
             next: None,
         });
         match read {
@@ -355,6 +401,7 @@ impl<'de> Deserializer<'de> for Recovering<'_, 'de> {
         visitor: V,
     ) -> Result<V::Value, Interrupted> {
         let stand_in = (variants[0], None);
+        let mut is_bare = false;
         let chosen = match self.raw {
             None => stand_in,
             Some(raw) if raw.get().starts_with('{') => {
@@ -374,6 +421,7 @@ impl<'de> Deserializer<'de> for Recovering<'_, 'de> {
                 let text: Option<String> = serde_json::from_str(raw.get()).ok();
                 let known = variants.iter().find(|name| text.as_deref() == Some(**name));
                 if let Some(name) = known {
+                    is_bare = true;
                     (*name, None)
                 } else {
                     self.note(choice(&visitor, variants));
@@ -381,12 +429,16 @@ impl<'de> Deserializer<'de> for Recovering<'_, 'de> {
                 }
             }
         };
-        visitor.visit_enum(Chosen { of: self, chosen })
+        visitor.visit_enum(Chosen {
+            of: self,
+            member: chosen,
+            is_bare,
+        })
     }
 
     forward_to_deserialize_any! {
-        bool i8 i16 i32 i64 i128 u8 u16 u32 u128 f32 char bytes byte_buf unit unit_struct tuple_struct map
-        identifier ignored_any
+        bool i8 i16 i32 i64 i128 u8 u32 u128 f32 char bytes byte_buf unit unit_struct tuple_struct identifier
+        ignored_any
     }
 }
 
@@ -443,8 +495,8 @@ impl<'de> SeqAccess<'de> for Elements<'_, 'de> {
 /// The members of an object.
 struct Members<'a, 'de> {
     of: Recovering<'a, 'de>,
-    sent: std::vec::IntoIter<Member<'de>>,
-    next: Option<Member<'de>>,
+    sent: std::vec::IntoIter<NamedMember<'de>>,
+    next: Option<NamedMember<'de>>,
 }
 
 impl<'de> MapAccess<'de> for Members<'_, 'de> {
@@ -455,10 +507,10 @@ impl<'de> MapAccess<'de> for Members<'_, 'de> {
         seed: K,
     ) -> Result<Option<K::Value>, Interrupted> {
         self.next = self.sent.next();
-        let Some((name, _)) = self.next else {
+        let Some((name, _)) = &self.next else {
             return Ok(None);
         };
-        let name: StrDeserializer<'_, Interrupted> = name.into_deserializer();
+        let name: StrDeserializer<'_, Interrupted> = (&**name).into_deserializer();
         seed.deserialize(name).map(Some)
     }
 
@@ -466,8 +518,11 @@ impl<'de> MapAccess<'de> for Members<'_, 'de> {
         &mut self,
         seed: V,
     ) -> Result<V::Value, Interrupted> {
-        let (name, raw) = self.next.expect("a name was asked for before its value");
-        let at = Pointer::Member(self.of.at, name);
+        let (name, raw) = self
+            .next
+            .take()
+            .expect("a name was asked for before its value");
+        let at = Pointer::Member(self.of.at, &name);
         seed.deserialize(Recovering {
             raw,
             at: &at,
@@ -479,7 +534,9 @@ impl<'de> MapAccess<'de> for Members<'_, 'de> {
 /// A variant and its value.
 struct Chosen<'a, 'de> {
     of: Recovering<'a, 'de>,
-    chosen: Member<'de>,
+    member: Member<'de>,
+    /// Whether its name was sent alone: right for a name, and at fault for what has a value.
+    is_bare: bool,
 }
 
 impl<'de> EnumAccess<'de> for Chosen<'_, 'de> {
@@ -490,7 +547,7 @@ impl<'de> EnumAccess<'de> for Chosen<'_, 'de> {
         self,
         seed: V,
     ) -> Result<(V::Value, Self), Interrupted> {
-        let name: StrDeserializer<'_, Interrupted> = self.chosen.0.into_deserializer();
+        let name: StrDeserializer<'_, Interrupted> = self.member.0.into_deserializer();
         Ok((seed.deserialize(name)?, self))
     }
 }
@@ -506,7 +563,11 @@ impl<'de> VariantAccess<'de> for Chosen<'_, 'de> {
         self,
         seed: T,
     ) -> Result<T::Value, Interrupted> {
-        let (name, raw) = self.chosen;
+        let (name, raw) = self.member;
+        if self.is_bare {
+            self.of
+                .note(format!("is no object with the member {name:?}"));
+        }
         let at = Pointer::Member(self.of.at, name);
         seed.deserialize(Recovering {
             raw,

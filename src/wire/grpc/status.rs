@@ -31,7 +31,7 @@ const fn grpc_code(code: Code) -> GrpcCode {
         | Code::Invalid => GrpcCode::InvalidArgument,
         Code::NoSuchPath | Code::MethodNotAllowed => GrpcCode::Unimplemented,
         Code::NoSuchScene | Code::NoSuchCube => GrpcCode::NotFound,
-        Code::SceneExists | Code::IdConflict => GrpcCode::AlreadyExists,
+        Code::SceneExists | Code::IdConflict | Code::ShapeExists => GrpcCode::AlreadyExists,
         Code::KeyReused | Code::OtherKind => GrpcCode::FailedPrecondition,
         Code::SeqNotReached | Code::SeqNotKept | Code::NotReachable => GrpcCode::OutOfRange,
         Code::RequestTimeout | Code::WaitTimeout | Code::AnswerTimeout => {

@@ -13,14 +13,18 @@ use super::request::{
 };
 use super::{App, ndjson, scenes};
 use crate::engine::Op;
+use crate::engine::solids::Rejected;
 use crate::geometry::CubeId;
-use crate::service::{Applied, Counting, Motion, Operations, Scene, Submission};
+use crate::service::{
+    Applied, Counting, Motion, Operations, SceneOf, ServiceError, SolidScene, Solids, Submission,
+};
 use crate::wire::atomic::{Atomic, Sent};
 use crate::wire::calls;
-use crate::wire::convert::{MassProperties, Settings, mass_properties};
 use crate::wire::decode;
 use crate::wire::documents::{Change, Cube, Id, IdForm, LineOperation, Revert};
-use crate::wire::problem::{Fault, Problem};
+use crate::wire::kind::{Opened, Properties, ShownKind};
+use crate::wire::problem::{Code, Fault, Problem};
+use crate::wire::solids::{SolidChange, SolidSettings};
 
 /// What a change did.
 #[derive(Serialize, ToSchema)]
@@ -28,10 +32,10 @@ pub(crate) struct ChangeAnswer {
     /// The scene's newest change: this one, unless it changed nothing.
     #[schema(example = 5)]
     seq: u64,
-    /// Cubes inserted.
+    /// Cubes or solids inserted.
     #[schema(example = 1)]
     inserted: u64,
-    /// Cubes deleted.
+    /// Cubes or solids deleted.
     #[schema(example = 1)]
     deleted: u64,
     /// Operations that changed nothing.
@@ -44,13 +48,13 @@ pub(crate) struct ChangeAnswer {
     /// Volume that it removed from the stock, or added to the union where there is no stock, in user units cubed.
     #[schema(example = 82.41919)]
     volume_removed: f64,
-    /// The same as a decimal integer, in lattice steps cubed.
+    /// The same as a decimal integer, in lattice steps cubed; of a scene of solids in 96ths of them.
     #[schema(example = "82419190000")]
     volume_removed_exact: String,
     /// The totals after it; left out with `return=minimal`.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
-    mass_properties: Option<MassProperties>,
+    mass_properties: Option<Properties>,
 }
 
 /// Consecutive ids.
@@ -70,7 +74,7 @@ pub(super) struct Wanted {
 }
 
 impl Wanted {
-    fn read(parameters: Parameters) -> Result<Self, Problem> {
+    pub(super) fn read(parameters: Parameters) -> Result<Self, Problem> {
         let query = parameters.only(&["return", "ids"])?;
         Ok(Self {
             returned: query.returned()?,
@@ -83,11 +87,11 @@ impl Wanted {
     }
 }
 
-pub(super) fn answer(
-    scene: &Scene,
-    settings: &Settings,
+pub(super) fn answer<K: ShownKind>(
+    scene: &SceneOf<K>,
+    settings: &K::Settings,
     wanted: Wanted,
-    applied: &Applied,
+    applied: &Applied<K>,
 ) -> Json<ChangeAnswer> {
     let Applied {
         published,
@@ -107,18 +111,18 @@ pub(super) fn answer(
             first: wanted.id(first),
             last: wanted.id(last),
         }),
-        volume_removed: settings.volume_user(*volume_removed),
+        volume_removed: K::volume_user(*volume_removed, settings),
         volume_removed_exact: volume_removed.to_string(),
         mass_properties: (wanted.returned == Return::Representation)
-            .then(|| mass_properties(name, Some(seq), &published.totals, settings)),
+            .then(|| K::shown(K::properties(name, Some(seq), &published.totals, settings))),
     })
 }
 
-fn applied_answer(
-    scene: &Scene,
-    settings: &Settings,
+fn applied_answer<K: ShownKind>(
+    scene: &SceneOf<K>,
+    settings: &K::Settings,
     wanted: Wanted,
-    applied: &Applied,
+    applied: &Applied<K>,
 ) -> Response {
     let mut response = answer(scene, settings, wanted, applied).into_response();
     if applied.replayed {
@@ -130,7 +134,10 @@ fn applied_answer(
     response
 }
 
-/// Insert and delete cubes
+/// Insert and delete cubes or solids
+///
+/// A scene of solids takes one atomic change of `application/json`: its solids are shapes of the scene, at one place or carried along a
+/// segment, and hulls.
 ///
 /// `application/json` and `application/x-protobuf` (the message `union3d.v1.Change`) are one atomic change: deletions first, all or
 /// nothing. Inserting an id that is there at the same place, or deleting one that is not there, changes nothing and counts as
@@ -150,7 +157,7 @@ fn applied_answer(
         ("Idempotency-Key" = Option<String>, Header, description = "1 to 64 visible ASCII characters. The answer to the first change with this key is repeated, with `Idempotency-Replayed: true`. Not for streams"),
     ),
     request_body(content(
-        (Change = "application/json",
+        (AnyChange = "application/json",
             example = json!({"delete": [17], "insert": [{"id": 18, "at": [0, 0, 2.5]}]})),
         (inline(LineOperation<Cube>) = "application/x-ndjson",
             example = json!({"insert": {"id": 1, "at": [0, 0, 2.5]}})),
@@ -167,7 +174,14 @@ pub(super) async fn post_changes(
     body: Body,
 ) -> Result<Response, Problem> {
     let wanted = Wanted::read(parameters)?;
-    let (scene, settings) = scenes::open(&app, &name)?;
+    let (scene, settings) = match scenes::open_any(&app, &name)? {
+        Opened::Cubes(scene, settings) => (scene, settings),
+        Opened::Solids(scene, settings) => {
+            let applied = change_solids(&app, &scene, &settings, &headers, body).await;
+            let applied = applied.map_err(|problem| problem.with_ids(wanted.ids))?;
+            return Ok(applied_answer(&scene, &settings, wanted, &applied));
+        }
+    };
     let key = idempotency_key(&headers)?;
     let kind = body_type(
         &headers,
@@ -203,9 +217,51 @@ pub(super) async fn post_changes(
     ))
 }
 
+/// An atomic change of a scene of solids.
+async fn change_solids(
+    app: &App,
+    scene: &SolidScene,
+    settings: &SolidSettings,
+    headers: &HeaderMap,
+    body: Body,
+) -> Result<Applied<Solids>, Problem> {
+    let key = idempotency_key(headers)?;
+    body_type(headers, &[BodyType::Json])?;
+    let body = request::read(headers, body, &app.limits, &app.room).await?;
+    let key = key.map(|key| (key, calls::digest("application/json", &body.bytes)));
+    let (bytes, shapes) = (body.bytes.clone(), scene.context()?);
+    let (scale, most) = (settings.scale(), app.limits.change_cubes_max);
+    // Hulls take their time.
+    let read = move || decode::solid_change(&bytes, &shapes, scale, most);
+    let decoded = match tokio::task::spawn_blocking(read).await {
+        Ok(decoded) => decoded?,
+        Err(error) => std::panic::resume_unwind(error.into_panic()),
+    };
+    let submission = Submission {
+        operations: decoded.operations,
+        counting: Counting::Net,
+        motion: decoded.motion,
+        key,
+    };
+    let changed = async {
+        match scene.change(submission).await {
+            Err(ServiceError::RejectedSolids(Rejected::IdConflict { index, id })) => {
+                let pointer = format!("/insert/{}", index.saturating_sub(decoded.deletions));
+                let detail = format!(
+                    "{pointer}: solid {} is there already, with another body; delete it in the same change to put another in its place",
+                    id.0
+                );
+                Err(Problem::new(Code::IdConflict, detail).with("id", id.0))
+            }
+            answer => Ok(answer?),
+        }
+    };
+    calls::within(app.limits.request_timeout, changed).await
+}
+
 /// Go back
 ///
-/// Makes the scene's set of cubes what it was at an earlier seq, as one new change: the history stays as it is, and going forward
+/// Makes the scene's set of cubes or solids what it was at an earlier seq, as one new change: the history stays as it is, and going forward
 /// again is going back to a later seq. Takes time in proportion to the operations that tell the two states apart. The limit of
 /// cubes of a change does not apply, but that of a record does: 2^24 operations. Nothing happens, and no seq is taken, when the cubes are those of that seq already.
 #[utoipa::path(
@@ -228,13 +284,21 @@ pub(super) async fn post_revert(
     body: Body,
 ) -> Result<Response, Problem> {
     let wanted = Wanted::read(parameters)?;
-    let (scene, settings) = scenes::open(&app, &name)?;
+    let opened = scenes::open_any(&app, &name)?;
     let key = idempotency_key(&headers)?;
     body_type(&headers, &[BodyType::Json])?;
     let body = request::read(&headers, body, &app.limits, &app.room).await?;
     let to = decode::revert(&body.bytes)?;
-    let applied = calls::revert(&scene, to, key, &body.bytes).await?;
-    Ok(applied_answer(&scene, &settings, wanted, &applied))
+    Ok(match opened {
+        Opened::Cubes(scene, settings) => {
+            let applied = calls::revert(&scene, to, key, &body.bytes).await?;
+            applied_answer(&scene, &settings, wanted, &applied)
+        }
+        Opened::Solids(scene, settings) => {
+            let applied = calls::revert(&scene, to, key, &body.bytes).await?;
+            applied_answer(&scene, &settings, wanted, &applied)
+        }
+    })
 }
 
 /// Delete one cube
@@ -266,4 +330,18 @@ pub(super) async fn delete_cube(
     };
     let applied = scene.change(submission).await?;
     Ok(answer(&scene, &settings, wanted, &applied))
+}
+
+/// A change of a scene of either kind.
+#[derive(ToSchema)]
+#[serde(untagged)]
+#[expect(
+    dead_code,
+    reason = "it stands in the description; each is read by what the scene is"
+)]
+enum AnyChange {
+    /// Of cubes.
+    Cubes(Change),
+    /// Of solids.
+    Solids(SolidChange),
 }

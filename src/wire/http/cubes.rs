@@ -108,9 +108,9 @@ pub(super) async fn get_cubes(
 }
 
 /// What our cursors begin with. Were their meaning to change, old ones would be refused by this letter.
-const CURSOR_MARK: &str = "a";
+pub(super) const CURSOR_MARK: &str = "a";
 
-fn cursor(query: &Known) -> Result<Option<Cursor>, Problem> {
+pub(super) fn cursor(query: &Known) -> Result<Option<Cursor>, Problem> {
     let Some(text) = query.text("after") else {
         return Ok(None);
     };

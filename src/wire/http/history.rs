@@ -15,104 +15,97 @@ use utoipa::ToSchema;
 
 use super::request::{BodyType, Parameters, Path, VARY, preferred};
 use super::{App, scenes};
-use crate::service::{HistoryRow, ServiceError};
+use crate::service::{HistoryRow, SceneOf, ServiceError};
 use crate::wire::calls::HistoryRows;
-use crate::wire::convert::{MassProperties, Removal, Settings, mass_properties, removal};
+use crate::wire::convert::{duration_user, removal_rate};
+use crate::wire::kind::{
+    Cell, HistoryChange, HistoryEntry, HistoryTotals, Opened, ShownKind, maybe,
+};
 use crate::wire::problem::Problem;
 
 /// Changes of a page of JSON when no limit is given, and the most that it holds.
 const PAGE_LIMIT: u64 = 1_000;
 const PAGE_LIMIT_MAX: u64 = 10_000;
 
-/// A change of the past.
-#[derive(Serialize, ToSchema)]
-pub(crate) struct HistoryEntry {
-    /// When it was accepted: RFC 3339, UTC.
-    #[schema(format = DateTime, example = "2026-03-01T12:00:00.000Z")]
-    time: String,
-    /// The sender's number of the move it belongs to; null when none was given.
-    #[schema(example = 120)]
-    r#move: Option<u64>,
-    /// Machine time, in seconds; null when none was given.
-    #[schema(example = 0.25)]
-    duration: Option<f64>,
-    /// Cubes that it inserted.
-    inserted: u64,
-    /// Cubes that it deleted.
-    deleted: u64,
-    /// Volume that it removed from the stock, or added to the union where there is no stock, in user units cubed. Negative when it
-    /// gave some back.
-    volume_removed: f64,
-    /// The same in steps cubed, exact.
-    #[schema(example = "216000000000")]
-    volume_removed_exact: String,
-    /// Volume removed in a second of machine time; null without a duration above 0.
-    removal_rate: Option<f64>,
-    /// The totals after it, with its seq.
-    #[serde(flatten)]
-    totals: MassProperties,
+/// A row of the history, and the totals after it.
+fn entry<K: ShownKind>(
+    scene: &str,
+    row: &HistoryRow<K>,
+    settings: &K::Settings,
+) -> (HistoryChange, K::Properties) {
+    let duration = row.motion.duration_ns.map(duration_user);
+    let volume = K::volume_user(row.volume_removed, settings);
+    let change = HistoryChange {
+        time: rfc3339(row.at_ms),
+        r#move: row.motion.number,
+        duration,
+        inserted: row.inserted,
+        deleted: row.deleted,
+        volume_removed: volume,
+        volume_removed_exact: row.volume_removed.to_string(),
+        removal_rate: removal_rate(volume, duration),
+    };
+    let totals = K::properties(Some(scene), Some(row.seq.0), &row.totals, settings);
+    (change, totals)
 }
 
-impl HistoryEntry {
-    fn new(scene: &str, row: &HistoryRow, settings: &Settings) -> Self {
-        let Removal {
-            duration,
-            volume,
-            exact,
-            rate,
-        } = removal(row.motion.duration_ns, row.volume_removed, settings);
-        Self {
-            time: rfc3339(row.at_ms),
-            r#move: row.motion.number,
-            duration,
-            inserted: row.inserted,
-            deleted: row.deleted,
-            volume_removed: volume,
-            volume_removed_exact: exact,
-            removal_rate: rate,
-            totals: mass_properties(Some(scene), Some(row.seq.0), &row.totals, settings),
-        }
-    }
-}
-
-/// A column of CSV: its name, and the text of its cells.
-type Column = (&'static str, fn(&HistoryEntry) -> String);
-
-const COLUMNS: [Column; 17] = [
-    ("seq", |row| maybe(row.totals.seq)),
-    ("time", |row| row.time.clone()),
-    ("move", |row| maybe(row.r#move)),
-    ("duration", |row| maybe(row.duration)),
-    ("inserted", |row| row.inserted.to_string()),
-    ("deleted", |row| row.deleted.to_string()),
-    ("cubes", |row| row.totals.cubes.to_string()),
-    ("volume_removed", |row| row.volume_removed.to_string()),
-    ("removal_rate", |row| maybe(row.removal_rate)),
-    ("volume", |row| row.totals.user.volume.to_string()),
-    ("area", |row| row.totals.user.area.to_string()),
-    ("edge_length", |row| {
-        row.totals.user.edge_length.total.to_string()
-    }),
-    ("euler_characteristic", |row| {
-        row.totals.integers.euler_characteristic.to_string()
-    }),
-    ("removed", |row| {
-        maybe(row.totals.removed.as_ref().map(|part| part.user.volume))
-    }),
-    ("remaining", |row| {
-        maybe(row.totals.remaining.as_ref().map(|part| part.user.volume))
-    }),
-    ("volume_removed_exact", |row| {
-        row.volume_removed_exact.clone()
-    }),
-    ("volume_exact", |row| {
-        row.totals.integers.exact.volume.clone()
+/// The cells of a line of CSV that tell of the change itself.
+const CHANGE_CELLS: [Cell<HistoryChange>; 8] = [
+    ("time", |change| change.time.clone()),
+    ("move", |change| maybe(change.r#move)),
+    ("duration", |change| maybe(change.duration)),
+    ("inserted", |change| change.inserted.to_string()),
+    ("deleted", |change| change.deleted.to_string()),
+    ("volume_removed", |change| change.volume_removed.to_string()),
+    ("removal_rate", |change| maybe(change.removal_rate)),
+    ("volume_removed_exact", |change| {
+        change.volume_removed_exact.clone()
     }),
 ];
 
-/// A cell that may be empty. Of a float the shortest text that reads back as the same number.
-fn maybe(value: Option<impl ToString>) -> String {
-    value.map(|value| value.to_string()).unwrap_or_default()
+/// The columns of CSV in their order. A kind of scene has those that it knows something about.
+const COLUMNS: [&str; 18] = [
+    "seq",
+    "time",
+    "move",
+    "duration",
+    "inserted",
+    "deleted",
+    "cubes",
+    "solids",
+    "volume_removed",
+    "removal_rate",
+    "volume",
+    "area",
+    "edge_length",
+    "euler_characteristic",
+    "removed",
+    "remaining",
+    "volume_removed_exact",
+    "volume_exact",
+];
+
+/// The header of CSV.
+fn csv_header<K: ShownKind>() -> Vec<String> {
+    let knows = |column: &str| {
+        CHANGE_CELLS.iter().any(|(name, _)| *name == column)
+            || K::Properties::CELLS.iter().any(|(name, _)| *name == column)
+    };
+    let columns = COLUMNS.into_iter().filter(|column| knows(column));
+    columns.map(str::to_owned).collect()
+}
+
+/// A line of CSV.
+fn csv_line<K: ShownKind>((change, totals): &(HistoryChange, K::Properties)) -> Vec<String> {
+    let cell = |column: &str| {
+        let of_change = CHANGE_CELLS.iter().find(|(name, _)| *name == column);
+        let of_totals = K::Properties::CELLS
+            .iter()
+            .find(|(name, _)| *name == column);
+        let of_change = of_change.map(|(_, cell)| cell(change));
+        of_change.or_else(|| of_totals.map(|(_, cell)| cell(totals)))
+    };
+    COLUMNS.into_iter().filter_map(cell).collect()
 }
 
 /// Changes of the past.
@@ -160,21 +153,54 @@ pub(super) async fn get_history(
     };
     let (from, to) = (query.number("from")?, query.number("to")?);
     let (move_from, move_to) = (query.number("move_from")?, query.number("move_to")?);
-    let (scene, settings) = scenes::open(&app, &name)?;
-    let mut rows = HistoryRows::new(scene, [from, to], [move_from, move_to], limit)?;
+    let asked = Asked {
+        name,
+        range: [from, to],
+        moves: [move_from, move_to],
+        limit,
+        kind,
+    };
+    match scenes::open_any(&app, &asked.name)? {
+        Opened::Cubes(scene, settings) => history(scene, settings, asked).await,
+        Opened::Solids(scene, settings) => history(scene, settings, asked).await,
+    }
+}
+
+/// What of a history is asked for, and how.
+struct Asked {
+    name: String,
+    range: [Option<u64>; 2],
+    moves: [Option<u64>; 2],
+    limit: u64,
+    kind: BodyType,
+}
+
+async fn history<K: ShownKind>(
+    scene: Arc<SceneOf<K>>,
+    settings: Arc<K::Settings>,
+    asked: Asked,
+) -> Result<Response, Problem> {
+    let Asked {
+        name,
+        range,
+        moves,
+        limit,
+        kind,
+    } = asked;
+    let mut rows = HistoryRows::new(scene, range, moves, limit)?;
     if kind != BodyType::Json {
         return Ok(stream(rows, name, settings, kind));
     }
     let mut changes = Vec::new();
     while let Some(page) = rows.page().await? {
-        changes.extend(
-            page.iter()
-                .map(|row| HistoryEntry::new(&name, row, &settings)),
-        );
+        changes.extend(page.iter().map(|row| {
+            let (change, totals) = entry(&name, row, &settings);
+            K::entry(change, totals)
+        }));
     }
     let next = rows.next.map(|next| {
         let mut link = format!("/v1/scenes/{name}/history?from={next}&to={}", rows.to);
-        for (parameter, number) in [("move_from", move_from), ("move_to", move_to)] {
+        for (parameter, number) in ["move_from", "move_to"].into_iter().zip(moves) {
             if let Some(number) = number {
                 write!(link, "&{parameter}={number}").expect("a String takes everything");
             }
@@ -185,21 +211,21 @@ pub(super) async fn get_history(
 }
 
 /// All of them as lines, of CSV or of JSON. What fails on the way breaks the answer off: its status has been sent.
-fn stream(
-    mut rows: HistoryRows,
+fn stream<K: ShownKind>(
+    mut rows: HistoryRows<K>,
     name: String,
-    settings: Arc<Settings>,
+    settings: Arc<K::Settings>,
     kind: BodyType,
 ) -> Response {
     let body = async_stream::try_stream! {
         if kind == BodyType::Csv {
-            yield csv_lines([COLUMNS.map(|(name, _)| name.to_owned())]);
+            yield csv_lines([csv_header::<K>()]);
         }
         while let Some(page) = rows.page().await? {
-            let entries = page.iter().map(|row| HistoryEntry::new(&name, row, &settings));
+            let entries = page.iter().map(|row| entry(&name, row, &settings));
             yield match kind {
-                BodyType::Csv => csv_lines(entries.map(|entry| COLUMNS.map(|(_, cell)| cell(&entry)))),
-                _ => json_lines(entries),
+                BodyType::Csv => csv_lines(entries.map(|entry| csv_line::<K>(&entry))),
+                _ => json_lines(entries.map(|(change, totals)| K::entry(change, totals))),
             };
         }
     };
@@ -207,7 +233,7 @@ fn stream(
     (VARY, [(header::CONTENT_TYPE, kind.value())], body).into_response()
 }
 
-fn csv_lines(records: impl IntoIterator<Item = [String; COLUMNS.len()]>) -> Bytes {
+fn csv_lines(records: impl IntoIterator<Item = Vec<String>>) -> Bytes {
     let mut csv = csv::Writer::from_writer(Vec::new());
     for record in records {
         csv.write_record(record).expect("memory takes everything");

@@ -11,9 +11,11 @@ mod history;
 mod ndjson;
 mod openapi;
 mod operate;
+mod problem;
 mod reads;
 mod request;
 mod scenes;
+mod solids;
 
 use std::any::Any;
 use std::time::{Duration, Instant};
@@ -81,6 +83,7 @@ fn bounded_routes() -> Vec<Route> {
     use operate::{get_healthz, get_metrics, get_problem, get_problems, get_readyz};
     use reads::get_mass_properties;
     use scenes::{delete_scene, get_scene, get_scenes, put_scene};
+    use solids::{get_solid, get_solids};
     vec![
         ("/v1/scenes", get(get_scenes)),
         (
@@ -98,6 +101,11 @@ fn bounded_routes() -> Vec<Route> {
             get(get_cube).delete(changes::delete_cube),
         ),
         ("/v1/scenes/{scene}/contains", get(get_contains)),
+        ("/v1/scenes/{scene}/solids", get(get_solids)),
+        (
+            "/v1/scenes/{scene}/solids/{id}",
+            get(get_solid).delete(solids::delete_solid),
+        ),
         ("/healthz", get(get_healthz)),
         ("/readyz", get(get_readyz)),
         ("/metrics", get(get_metrics)),
@@ -112,6 +120,7 @@ fn unbounded_routes() -> Vec<Route> {
     vec![
         ("/v1/scenes/{scene}/changes", post(changes::post_changes)),
         ("/v1/scenes/{scene}/revert", post(changes::post_revert)),
+        ("/v1/scenes/{scene}/shapes/{shape}", put(solids::put_shape)),
         (
             "/v1/scenes/{scene}/mass-properties/stream",
             get(reads::stream_mass_properties),

@@ -15,8 +15,9 @@ use utoipa::openapi::{
 };
 use utoipa::{Modify, OpenApi};
 
-use super::{changes, cubes, history, operate, reads, scenes};
-use crate::wire::problem::{Code, Kind, ProblemDocument};
+use super::problem::ProblemDocument;
+use super::{changes, cubes, history, operate, reads, scenes, solids};
+use crate::wire::problem::{Code, Kind};
 
 #[derive(OpenApi)]
 #[openapi(
@@ -30,16 +31,18 @@ use crate::wire::problem::{Code, Kind, ProblemDocument};
         changes::post_changes, changes::post_revert, changes::delete_cube,
         reads::get_mass_properties, reads::stream_mass_properties, history::get_history, reads::post_audit,
         cubes::get_cube, cubes::get_cubes, cubes::get_contains,
+        solids::put_shape, solids::get_solid, solids::get_solids, solids::delete_solid,
         operate::get_healthz, operate::get_readyz, operate::get_metrics, get_openapi,
         operate::get_problems, operate::get_problem,
     ),
     components(schemas(ProblemDocument)),
     modifiers(&Problems),
     tags(
-        (name = "scenes", description = "Sets of equal cubes"),
-        (name = "changes", description = "Inserting and deleting cubes"),
+        (name = "scenes", description = "Sets of equal cubes, or of solids"),
+        (name = "changes", description = "Inserting and deleting cubes or solids"),
         (name = "mass properties", description = "What is measured, now, in the past and as it changes"),
         (name = "cubes", description = "The cubes themselves"),
+        (name = "solids", description = "Solids, and the shapes that they are made of"),
         (name = "operation", description = "For those who run the service"),
     )
 )]
@@ -120,8 +123,9 @@ fn referred<'a>(schema: &'a Value, schemas: &'a Value) -> &'a Value {
 }
 
 /// What parameters of these names look like.
-const PATTERNS: [(&str, &str); 3] = [
+const PATTERNS: [(&str, &str); 4] = [
     ("scene", "^[a-z0-9][a-z0-9._-]{0,62}$"),
+    ("shape", "^[A-Za-z0-9][A-Za-z0-9._-]{0,62}$"),
     ("after", "^a[0-9a-f]{16}$"),
     ("Idempotency-Key", "^[!-~]{1,64}$"),
 ];
@@ -184,8 +188,8 @@ fn failures(operation: &str) -> &'static [Code] {
     use Code::{
         AuditDifference, BadJson, BadProtobuf, DiskFull, IdConflict, IdsExhausted, KeyReused,
         NoSuchCube, NoSuchPath, NotReachable, OtherKind, QueueFull, Recovering, RequestTimeout,
-        SceneExists, SceneFull, SeqNotKept, SeqNotReached, ShuttingDown, StorageFailed, TooLarge,
-        UnsupportedMediaType, WaitTimeout,
+        SceneExists, SceneFull, SeqNotKept, SeqNotReached, ShapeExists, ShuttingDown,
+        StorageFailed, TooLarge, UnsupportedMediaType, WaitTimeout,
     };
     match operation {
         "put_scene" => &[
@@ -222,10 +226,18 @@ fn failures(operation: &str) -> &'static [Code] {
             KeyReused,
             QueueFull,
         ],
-        "delete_cube" => &[QueueFull],
+        "delete_cube" | "delete_solid" => &[QueueFull],
+        "put_shape" => &[
+            BadJson,
+            RequestTimeout,
+            ShapeExists,
+            TooLarge,
+            UnsupportedMediaType,
+            QueueFull,
+        ],
         "get_mass_properties" => &[SeqNotKept, SeqNotReached, WaitTimeout],
         "get_history" => &[SeqNotKept],
-        "get_cube" => &[NoSuchCube],
+        "get_cube" | "get_solid" => &[NoSuchCube],
         "post_audit" => &[AuditDifference],
         "get_readyz" => &[Recovering],
         "get_problem" => &[NoSuchPath],

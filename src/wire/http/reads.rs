@@ -2,27 +2,32 @@
 
 use std::convert::Infallible;
 use std::sync::Arc;
+use std::time::Duration;
 
 use axum::Json;
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
-use futures_util::Stream;
 use headers::{ETag, HeaderMapExt, IfNoneMatch};
 use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::request::{Parameters, Path};
 use super::{App, scenes};
-use crate::service::{Published, Scene, Seq};
+use crate::service::{Published, SceneKind, SceneOf, Seq};
 use crate::wire::calls;
-use crate::wire::convert::{MassProperties, Settings, mass_properties};
+use crate::wire::kind::{Opened, Properties, ShownKind};
 use crate::wire::problem::Problem;
 
-fn shown(scene: &Scene, settings: &Settings, published: &Published) -> MassProperties {
+fn shown<K: ShownKind>(
+    scene: &SceneOf<K>,
+    settings: &K::Settings,
+    published: &Published<K>,
+) -> Properties {
     let name = Some(scene.name().as_str());
-    mass_properties(name, Some(published.seq.0), &published.totals, settings)
+    let seq = Some(published.seq.0);
+    K::shown(K::properties(name, seq, &published.totals, settings))
 }
 
 /// Get the mass properties
@@ -38,7 +43,7 @@ fn shown(scene: &Scene, settings: &Settings, published: &Published) -> MassPrope
         ("If-None-Match" = Option<String>, Header, description = "An `ETag` that was answered before"),
     ),
     responses(
-        (status = 200, description = "The totals", body = MassProperties,
+        (status = 200, description = "The totals", body = Properties,
             headers(("ETag" = String, description = "Incarnation and seq: `W/\"6f1d3c0a9b2e4d57-5\"`"))),
         (status = 304, description = "They are those of `If-None-Match`"),
     )
@@ -51,9 +56,25 @@ pub(super) async fn get_mass_properties(
 ) -> Result<Response, Problem> {
     let query = parameters.only(&["at", "wait"])?;
     let (at, wait) = (query.number("at")?, query.number("wait")?);
-    let (scene, settings) = scenes::open(&app, &name)?;
-    let published = calls::published(&scene, at, wait, app.limits.wait_max).await?;
-    let tag = entity_tag(&scene, published.seq);
+    let question = (at, wait, app.limits.wait_max);
+    match scenes::open_any(&app, &name)? {
+        Opened::Cubes(scene, settings) => {
+            mass_properties(&scene, &settings, question, &headers).await
+        }
+        Opened::Solids(scene, settings) => {
+            mass_properties(&scene, &settings, question, &headers).await
+        }
+    }
+}
+
+async fn mass_properties<K: ShownKind>(
+    scene: &SceneOf<K>,
+    settings: &K::Settings,
+    (at, wait, wait_max): (Option<u64>, Option<u64>, Duration),
+    headers: &HeaderMap,
+) -> Result<Response, Problem> {
+    let published = calls::published(scene, at, wait, wait_max).await?;
+    let tag = entity_tag(scene, published.seq);
     let known: Option<IfNoneMatch> = headers.typed_get();
     let mut tagged = HeaderMap::new();
     tagged.typed_insert(tag.clone());
@@ -61,13 +82,13 @@ pub(super) async fn get_mass_properties(
     if known.is_some_and(|known| !known.precondition_passes(&tag)) {
         return Ok((StatusCode::NOT_MODIFIED, tagged).into_response());
     }
-    Ok((tagged, Json(shown(&scene, &settings, &published))).into_response())
+    Ok((tagged, Json(shown(scene, settings, &published))).into_response())
 }
 
 const NO_CACHE: HeaderValue = HeaderValue::from_static("no-cache");
 
 /// Weak: the same totals may be sent compressed or not.
-pub(super) fn entity_tag(scene: &Scene, seq: Seq) -> ETag {
+pub(super) fn entity_tag<K: SceneKind>(scene: &SceneOf<K>, seq: Seq) -> ETag {
     let tag = format!(
         "W/\"{}-{}\"",
         calls::incarnation(scene.incarnation()),
@@ -94,27 +115,30 @@ pub(super) async fn stream_mass_properties(
     parameters: Parameters,
 ) -> Result<Response, Problem> {
     parameters.only(&[])?;
-    let (scene, settings) = scenes::open(&app, &name)?;
-    let events = Sse::new(events(scene, settings)?).keep_alive(KeepAlive::default());
-    Ok(([(header::CACHE_CONTROL, NO_CACHE)], events).into_response())
+    match scenes::open_any(&app, &name)? {
+        Opened::Cubes(scene, settings) => events(scene, settings),
+        Opened::Solids(scene, settings) => events(scene, settings),
+    }
 }
 
-fn events(
-    scene: Arc<Scene>,
-    settings: Arc<Settings>,
-) -> Result<impl Stream<Item = Result<Event, Infallible>>, Problem> {
+fn events<K: ShownKind>(
+    scene: Arc<SceneOf<K>>,
+    settings: Arc<K::Settings>,
+) -> Result<Response, Problem> {
     let mut newest = scene.subscribe()?;
-    Ok(async_stream::stream! {
+    let events = async_stream::stream! {
         loop {
             let published = *newest.borrow_and_update();
             let text = serde_json::to_string(&shown(&scene, &settings, &published))
                 .expect("numbers and strings are JSON");
-            yield Ok(Event::default().id(published.seq.0.to_string()).data(text));
+            yield Ok::<_, Infallible>(Event::default().id(published.seq.0.to_string()).data(text));
             if newest.changed().await.is_err() {
                 break;
             }
         }
-    })
+    };
+    let events = Sse::new(events).keep_alive(KeepAlive::default());
+    Ok(([(header::CACHE_CONTROL, NO_CACHE)], events).into_response())
 }
 
 /// A recount that agrees.
@@ -122,15 +146,21 @@ fn events(
 pub(crate) struct AuditDocument {
     /// The change that it is as of.
     seq: u64,
-    /// Number of cubes recounted.
-    cubes: u64,
+    /// Number of cubes recounted; of a scene of cubes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    cubes: Option<u64>,
+    /// Number of solids recounted; of a scene of solids.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    solids: Option<u64>,
     /// Always true: a difference is a problem.
     equal: bool,
 }
 
 /// Recount everything
 ///
-/// Counts all measures again from the cubes alone and compares. Changes go on meanwhile. Takes as long as inserting all cubes.
+/// Counts all measures again from the cubes or solids alone and compares. Changes go on meanwhile. Takes as long as inserting all cubes.
 #[utoipa::path(
     post, path = "/v1/scenes/{scene}/audit", tag = "mass properties",
     params(("scene" = String, Path, description = "Name of the scene", example = "pocket")),
@@ -142,11 +172,20 @@ pub(super) async fn post_audit(
     parameters: Parameters,
 ) -> Result<Json<AuditDocument>, Problem> {
     parameters.only(&[])?;
-    let (scene, settings) = scenes::open(&app, &name)?;
-    let (seq, cubes) = calls::audit(&scene, &settings).await?;
+    let (seq, cubes, solids) = match scenes::open_any(&app, &name)? {
+        Opened::Cubes(scene, settings) => {
+            let (seq, cubes) = calls::audit(&scene, &settings).await?;
+            (seq, Some(cubes), None)
+        }
+        Opened::Solids(scene, settings) => {
+            let (seq, solids) = calls::audit(&scene, &settings).await?;
+            (seq, None, Some(solids))
+        }
+    };
     Ok(Json(AuditDocument {
         seq: seq.0,
         cubes,
+        solids,
         equal: true,
     }))
 }

@@ -12,26 +12,39 @@ use utoipa::ToSchema;
 
 use super::request::{self, BodyType, Parameters, Path, body_type};
 use super::{App, Limits};
-use crate::service::{AnyScene, Scene, SceneState};
+use crate::service::{AnyScene, Scene, SceneState, SolidScene};
 use crate::wire::calls::{self, incarnation};
 use crate::wire::convert::{Settings, SettingsDocument};
 use crate::wire::decode;
+use crate::wire::kind::Opened;
 use crate::wire::problem::Problem;
+use crate::wire::solids::{SolidSceneSettings, SolidSettings, SolidSettingsDocument};
 
-/// Largest body that settings can fill sensibly.
-const SETTINGS_BYTES_MAX: usize = 64 << 10;
+/// Largest body that settings can fill sensibly, some shapes among them.
+const SETTINGS_BYTES_MAX: usize = 1 << 20;
 
 /// A scene.
 #[derive(Serialize, ToSchema)]
+#[expect(
+    clippy::option_option,
+    reason = "a count is left out, null or a number"
+)]
 pub(crate) struct SceneDocument {
     /// Its name.
     #[schema(example = "pocket")]
     name: String,
-    /// Its settings; left out when its files do not tell.
+    /// Its settings, of a scene of cubes; left out when its files do not tell.
     #[serde(flatten)]
     settings: Option<SettingsDocument>,
-    /// Number of cubes; null while it does not answer.
-    cubes: Option<u64>,
+    /// Its settings, of a scene of solids; left out when its files do not tell.
+    #[serde(flatten)]
+    solid_settings: Option<SolidSceneSettings>,
+    /// Number of cubes, of a scene of cubes; null while it does not answer.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    cubes: Option<Option<u64>>,
+    /// Number of solids, of a scene of solids; null while it does not answer.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    solids: Option<Option<u64>>,
     /// Newest durable change; null while it does not answer.
     seq: Option<u64>,
     /// Name of this life of the scene: another one after it was dropped and created again.
@@ -77,13 +90,25 @@ fn document(scene: &AnyScene) -> SceneDocument {
         SceneState::Stopped { cause, .. } => (State_::Stopped, None, Some(cause)),
         SceneState::Damaged { cause } => (State_::Damaged, None, Some(cause)),
     };
+    let count = newest.map(|(_, count)| count);
+    let (settings, solid_settings, cubes, solids) = match scene {
+        AnyScene::Cubes(scene) => {
+            let settings = calls::settings(scene).map(|settings| settings.document());
+            (settings, None, Some(count), None)
+        }
+        AnyScene::Solids(scene) => {
+            let shapes = scene.context().ok();
+            let settings = calls::settings(scene);
+            let shown = settings.map(|settings| settings.shown(shapes.as_deref()));
+            (None, shown, None, Some(count))
+        }
+    };
     SceneDocument {
         name: scene.name().as_str().to_owned(),
-        settings: match scene {
-            AnyScene::Cubes(scene) => calls::settings(scene).map(|settings| settings.document()),
-            AnyScene::Solids(_) => None,
-        },
-        cubes: newest.map(|(_, cubes)| cubes),
+        settings,
+        solid_settings,
+        cubes,
+        solids,
         seq: newest.map(|(seq, _)| seq.0),
         incarnation: incarnation(scene.incarnation()),
         state,
@@ -97,13 +122,41 @@ pub(super) fn open(app: &App, name: &str) -> Result<(Arc<Scene>, Arc<Settings>),
     calls::open(&app.service, name)
 }
 
+/// The same of a scene of solids.
+pub(super) fn open_solids(
+    app: &App,
+    name: &str,
+) -> Result<(Arc<SolidScene>, Arc<SolidSettings>), Problem> {
+    calls::open_solids(&app.service, name)
+}
+
+/// The same of a scene of either kind.
+pub(super) fn open_any(app: &App, name: &str) -> Result<Opened, Problem> {
+    calls::open_any(&app.service, name)
+}
+
+/// Settings of a scene of either kind.
+#[derive(ToSchema)]
+#[serde(untagged)]
+#[expect(
+    dead_code,
+    reason = "it stands in the description; each is read by what its kind is"
+)]
+pub(crate) enum AnySettings {
+    /// Of cubes.
+    Cubes(SettingsDocument),
+    /// Of solids.
+    Solids(SolidSettingsDocument),
+}
+
 /// Create a scene
 ///
-/// Only `edge` has no default. A scene that exists with the same settings is left as it is.
+/// Of cubes, where only `edge` has no default; or of solids, with `kind`, which holds for the scene's life. A scene that exists with the same
+/// settings, and has the shapes, is left as it is.
 #[utoipa::path(
     put, path = "/v1/scenes/{scene}", tag = "scenes",
     params(("scene" = String, Path, description = "Name: `[a-z0-9][a-z0-9._-]{0,62}`", example = "pocket")),
-    request_body(content = SettingsDocument, content_type = "application/json",
+    request_body(content = AnySettings, content_type = "application/json",
         example = json!({"edge": 6, "steps_per_unit": 1000, "unit": "mm", "density": 1, "anchor": "corner", "rounding": "nearest"})),
     responses(
         (status = 201, description = "Created", body = SceneDocument),
@@ -125,14 +178,21 @@ pub(super) async fn put_scene(
         ..app.limits
     };
     let body = request::read(&headers, body, &limits, &app.room).await?;
-    let settings = decode::settings(&body.bytes)?;
-    let (scene, new) = calls::create(&app.service, &name, &settings).await?;
+    let (scene, new) = if decode::is_of_solids(&body.bytes) {
+        let wanted = decode::solid_settings(&body.bytes)?;
+        let (scene, new) = calls::create_solids(&app.service, &name, &wanted).await?;
+        (AnyScene::Solids(scene), new)
+    } else {
+        let settings = decode::settings(&body.bytes)?;
+        let (scene, new) = calls::create(&app.service, &name, &settings).await?;
+        (AnyScene::Cubes(scene), new)
+    };
     let status = if new {
         StatusCode::CREATED
     } else {
         StatusCode::OK
     };
-    Ok((status, Json(document(&AnyScene::Cubes(scene)))).into_response())
+    Ok((status, Json(document(&scene))).into_response())
 }
 
 /// List the scenes

@@ -18,6 +18,15 @@ pub type Shapes = BTreeMap<String, Arc<Shape>>;
 /// # Errors
 /// The first fault, with its place in the document.
 pub fn body(document: &SolidDocument, shapes: &Shapes, scale: Scale) -> Result<Body, SolidFault> {
+    body_of(document, |name| shapes.get(name), scale)
+}
+
+/// The same, with shapes from wherever they are found.
+pub(super) fn body_of<'a>(
+    document: &SolidDocument,
+    shapes: impl Fn(&str) -> Option<&'a Arc<Shape>>,
+    scale: Scale,
+) -> Result<Body, SolidFault> {
     let SolidDocument {
         id: _,
         shape,
@@ -29,11 +38,11 @@ pub fn body(document: &SolidDocument, shapes: &Shapes, scale: Scale) -> Result<B
     match (shape, at, from, to, points) {
         (Some(name), Some(at), None, None, None) => {
             let at = scale.point(*at, "/at")?;
-            carried(name, shapes, at, at, "/at")
+            carried(name, shapes(name), at, at, "/at")
         }
         (Some(name), None, Some(from), Some(to), None) => {
             let (from, to) = (scale.point(*from, "/from")?, scale.point(*to, "/to")?);
-            carried(name, shapes, from, to, "/to")
+            carried(name, shapes(name), from, to, "/to")
         }
         (None, None, None, None, Some(points)) => Ok(Body::solid(hull(points, scale, "/hull")?)),
         _ => Err(SolidFault::new(
@@ -46,13 +55,12 @@ pub fn body(document: &SolidDocument, shapes: &Shapes, scale: Scale) -> Result<B
 /// A shape carried along a segment; `pointer` is the place of its end.
 fn carried(
     name: &str,
-    shapes: &Shapes,
+    shape: Option<&Arc<Shape>>,
     from: Point,
     to: Point,
     pointer: &str,
 ) -> Result<Body, SolidFault> {
-    let shape = shapes
-        .get(name)
+    let shape = shape
         .ok_or_else(|| SolidFault::new("/shape", format!("= {name:?}: there is no such shape")))?;
     Body::swept(shape, from, to).map_err(|invalid: InvalidBody| {
         SolidFault::new(pointer, format!("is not possible: {invalid}"))

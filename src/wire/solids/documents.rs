@@ -1,11 +1,21 @@
 //! The JSON of shapes and solids.
 
-use serde::{Deserialize, Serialize};
+use std::fmt;
+
+use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer};
+use serde::de::{Deserializer, MapAccess, SeqAccess, Visitor};
+use serde::{Deserialize, Serialize, Serializer};
+use utoipa::ToSchema;
+
+use crate::wire::documents::Id;
+use crate::wire::objects::{LIST_OR_OBJECT, not_null, objects_only, written};
+use crate::wire::vector::Vector;
 
 /// What solids of a scene share: one of these forms. Lengths are in user units; the origin is the shape's anchor, which is carried along
 /// the path of a solid.
-#[derive(Clone, PartialEq, Debug, Serialize, Deserialize)]
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
+#[schema(as = Shape)]
 pub enum ShapeDocument {
     /// A flat end mill.
     Flat(CutterDocument),
@@ -22,39 +32,67 @@ pub enum ShapeDocument {
     /// A box: its size, with its least corner at the anchor; or its corners.
     Box(BoxDocument),
     /// The convex hull of points. `[[x, y, z], ...]`
+    #[schema(value_type = Vec<Vector>)]
     Hull(Vec<[f64; 3]>),
-    /// Several convex shapes that move together, such as a cutter and its holder.
+    /// Several convex shapes that move together, such as a cutter and its holder; none of them has parts of its own.
+    #[schema(no_recursion)]
     Parts(Vec<ShapeDocument>),
 }
 
 /// A round cutter that points down. Lengths are whole numbers of lattice steps.
-#[derive(Clone, PartialEq, Debug, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(remote = "Self", deny_unknown_fields)]
+#[schema(as = Cutter)]
 pub struct CutterDocument {
     /// Diameter of the shank. Units: user units.
+    #[schema(exclusive_minimum = 0, example = 6.0)]
     pub diameter: f64,
     /// Height of the shank's top above the tip. Units: user units.
+    #[schema(exclusive_minimum = 0, example = 25.0)]
     pub length: f64,
     /// Radius of the rounded corner; of a bull-nose end mill only. Units: user units.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(
+        default,
+        deserialize_with = "not_null",
+        skip_serializing_if = "Option::is_none"
+    )]
+    #[schema(nullable = false)]
     pub corner_radius: Option<f64>,
     /// Diameter of the flat tip; of a vee (0 unless said) and a tapered end mill only. Units: user units.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(
+        default,
+        deserialize_with = "not_null",
+        skip_serializing_if = "Option::is_none"
+    )]
+    #[schema(nullable = false)]
     pub tip: Option<f64>,
     /// Of a vee, a drill and a tapered end mill only. Units: degrees.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(
+        default,
+        deserialize_with = "not_null",
+        skip_serializing_if = "Option::is_none"
+    )]
+    #[schema(nullable = false)]
     pub angle: Option<f64>,
     /// Rings of the round end of a ball or bull-nose end mill. Range: 2 to 64.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(
+        default,
+        deserialize_with = "not_null",
+        skip_serializing_if = "Option::is_none"
+    )]
+    #[schema(nullable = false, minimum = 2, maximum = 64)]
     pub rings: Option<u16>,
     /// Sides of the polygon that stands for a circle. Range: 3 to 1024.
     #[serde(default = "default_sides")]
+    #[schema(default = 32, minimum = 3, maximum = 1024)]
     pub sides: u16,
     /// Which polygon it is.
     #[serde(default)]
+    #[schema(default = "equal_area")]
     pub polygon: FitName,
     /// Where the centre of its tip is, seen from the shape's anchor. Units: user units. `[x, y, z]`
     #[serde(default)]
+    #[schema(min_items = 3, max_items = 3, default = json!([0.0, 0.0, 0.0]))]
     pub at: [f64; 3],
 }
 
@@ -63,8 +101,9 @@ fn default_sides() -> u16 {
 }
 
 /// Which polygon stands for a circle.
-#[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
+#[schema(as = Polygon)]
 pub enum FitName {
     /// The regular polygon of the circle's area.
     #[default]
@@ -76,40 +115,105 @@ pub enum FitName {
 }
 
 /// A box.
-#[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize)]
+#[derive(Clone, Copy, PartialEq, Debug, Serialize, ToSchema)]
 #[serde(untagged)]
+#[schema(as = Box)]
 pub enum BoxDocument {
     /// Its size along x, y and z; its least corner is the anchor.
+    #[schema(value_type = Vector)]
     Size([f64; 3]),
     /// Its corners.
-    Corners {
-        /// Least corner.
-        min: [f64; 3],
-        /// Greatest corner.
-        max: [f64; 3],
-    },
+    Corners(CornersDocument),
 }
 
-/// A solid to insert: a shape at one place (`at`), a shape carried along a segment (`from`, `to`), or a convex hull of its own.
-#[derive(Clone, PartialEq, Debug, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+/// The corners of a box. Units: user units.
+#[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(remote = "Self", deny_unknown_fields)]
+#[schema(as = Corners)]
+pub struct CornersDocument {
+    /// Least corner.
+    #[schema(min_items = 3, max_items = 3)]
+    pub min: [f64; 3],
+    /// Greatest corner.
+    #[schema(min_items = 3, max_items = 3)]
+    pub max: [f64; 3],
+}
+
+impl<'de> Deserialize<'de> for BoxDocument {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Read;
+        impl<'de> Visitor<'de> for Read {
+            type Value = BoxDocument;
+            fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+                formatter.write_str("[x, y, z] or {\"min\":[..],\"max\":[..]}")
+            }
+            fn visit_seq<A: SeqAccess<'de>>(self, size: A) -> Result<BoxDocument, A::Error> {
+                let size = SeqAccessDeserializer::new(size);
+                Deserialize::deserialize(size).map(BoxDocument::Size)
+            }
+            fn visit_map<A: MapAccess<'de>>(self, corners: A) -> Result<BoxDocument, A::Error> {
+                let corners = MapAccessDeserializer::new(corners);
+                CornersDocument::deserialize(corners).map(BoxDocument::Corners)
+            }
+        }
+        deserializer.deserialize_struct(LIST_OR_OBJECT, &["min", "max"], Read)
+    }
+}
+
+/// A solid: a shape at one place (`at`), a shape carried along a segment (`from`, `to`), or a convex hull of its own (`hull`).
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+#[serde(remote = "Self", deny_unknown_fields)]
+#[schema(as = Solid)]
 pub struct SolidDocument {
-    /// Its id, unique in the scene.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub id: Option<u64>,
-    /// The name of its shape.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    /// Its id, unique in the scene. All solids of a change have one, or none has: then the server numbers them.
+    #[serde(
+        default,
+        deserialize_with = "not_null",
+        skip_serializing_if = "Option::is_none"
+    )]
+    #[schema(nullable = false)]
+    pub id: Option<Id>,
+    /// The name of its shape; left out of a hull.
+    #[serde(
+        default,
+        deserialize_with = "not_null",
+        skip_serializing_if = "Option::is_none"
+    )]
+    #[schema(nullable = false, example = "t1")]
     pub shape: Option<String>,
     /// Where the shape's anchor is. Units: user units. `[x, y, z]`
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(
+        default,
+        deserialize_with = "not_null",
+        skip_serializing_if = "Option::is_none"
+    )]
+    #[schema(nullable = false, min_items = 3, max_items = 3)]
     pub at: Option<[f64; 3]>,
     /// Where the shape's anchor is carried from. Units: user units. `[x, y, z]`
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(
+        default,
+        deserialize_with = "not_null",
+        skip_serializing_if = "Option::is_none"
+    )]
+    #[schema(nullable = false, min_items = 3, max_items = 3, example = json!([0.0, 0.0, -2.0]))]
     pub from: Option<[f64; 3]>,
     /// Where the shape's anchor is carried to. Units: user units. `[x, y, z]`
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(
+        default,
+        deserialize_with = "not_null",
+        skip_serializing_if = "Option::is_none"
+    )]
+    #[schema(nullable = false, min_items = 3, max_items = 3, example = json!([40.0, 0.0, -2.0]))]
     pub to: Option<[f64; 3]>,
-    /// The points whose convex hull it is. Units: user units. `[[x, y, z], ...]`
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    /// The points whose convex hull it is; as it is answered, the hull's vertices. Units: user units. `[[x, y, z], ...]`
+    #[serde(
+        default,
+        deserialize_with = "not_null",
+        skip_serializing_if = "Option::is_none"
+    )]
+    #[schema(inline, value_type = Option<Vec<Vector>>, nullable = false)]
     pub hull: Option<Vec<[f64; 3]>>,
 }
+
+objects_only!(CutterDocument, CornersDocument, SolidDocument);
+written!(CutterDocument, CornersDocument, SolidDocument);

@@ -9,18 +9,30 @@
 //! lattice, and a cutter's vertices are computed in integers.
 
 mod body;
+mod change;
 mod documents;
 mod properties;
 mod scale;
+mod settings;
 mod shape;
 mod stl;
 
 pub use self::body::{Shapes, body};
-pub use self::documents::{BoxDocument, CutterDocument, FitName, ShapeDocument, SolidDocument};
+pub(in crate::wire) use self::change::decoded;
+pub use self::change::{DecodedSolids, SolidChange};
+pub use self::documents::{
+    BoxDocument, CornersDocument, CutterDocument, FitName, ShapeDocument, SolidDocument,
+};
+pub(in crate::wire) use self::properties::solid_measures;
 pub use self::properties::{
-    ErrorBounds, ExactSolids, FixedPoint, SolidEdgeLength, SolidProperties, solid_properties,
+    ErrorBounds, ExactSolids, FixedPoint, SolidEdgeLength, SolidMeasures, SolidProperties,
+    solid_properties, solid_volume,
 };
 pub use self::scale::{InvalidScale, Scale};
+pub(in crate::wire) use self::settings::{
+    DefinedShape, NewSolids, SolidSceneSettings, check, named_shape,
+};
+pub use self::settings::{SolidSettings, SolidSettingsDocument};
 pub use self::shape::{ReadShape, shape};
 pub use self::stl::{InvalidStl, stl_body};
 

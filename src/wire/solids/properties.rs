@@ -5,13 +5,15 @@
 
 use ethnum::I256;
 use serde::Serialize;
+use utoipa::ToSchema;
 
 use super::scale::Scale;
 use crate::engine::solids::{AREA_UNIT, ErrorMax, LENGTH_UNIT, Measures, Totals, VOLUME_UNIT};
 use crate::wire::convert::{UserBounds, float, float256};
+use crate::wire::vector::Vector;
 
 /// Lengths of the union's edges. An ordinary edge counts once, one along which two solids touch twice. Units: user units.
-#[derive(Clone, Copy, PartialEq, Debug, Serialize)]
+#[derive(Clone, Copy, PartialEq, Debug, Serialize, ToSchema)]
 pub struct SolidEdgeLength {
     /// All edges.
     pub total: f64,
@@ -24,7 +26,7 @@ pub struct SolidEdgeLength {
 }
 
 /// How far rounding to fixed-point integers can be off, at most, in user units.
-#[derive(Clone, Copy, PartialEq, Debug, Serialize)]
+#[derive(Clone, Copy, PartialEq, Debug, Serialize, ToSchema)]
 pub struct ErrorBounds {
     /// Of the volume. Units: user units cubed.
     pub volume: f64,
@@ -39,42 +41,43 @@ pub struct ErrorBounds {
 }
 
 /// One measure, or several of a kind, as fixed-point integers: divided by `divisor` they are in lattice steps to their power.
-#[derive(Clone, PartialEq, Eq, Debug, Serialize)]
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, ToSchema)]
 pub struct FixedPoint<T> {
     /// The integers, in decimal.
     pub value: T,
     /// What to divide them by.
+    #[schema(example = "96")]
     pub divisor: String,
     /// How far rounding can be off, at most, in the integers' unit.
+    #[schema(example = "192")]
     pub error_max: String,
 }
 
 /// The exact state: a function of the set of solids alone, whatever the order in which they came. Moments are about the lattice origin.
-#[derive(Clone, PartialEq, Eq, Debug, Serialize)]
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, ToSchema)]
 pub struct ExactSolids {
     /// Lattice steps in a user unit.
     pub steps_per_unit: String,
     /// Volume.
+    #[schema(inline)]
     pub volume: FixedPoint<String>,
     /// Area.
+    #[schema(inline)]
     pub area: FixedPoint<String>,
     /// Edge lengths: convex, concave, crossing.
+    #[schema(inline, value_type = FixedPoint<Vec<String>>)]
     pub edge_length: FixedPoint<[String; 3]>,
     /// Integrals of x, y, z.
+    #[schema(inline, value_type = FixedPoint<Vec<String>>)]
     pub first_moments: FixedPoint<[String; 3]>,
     /// Integrals of xx, yy, zz, xy, yz, zx.
+    #[schema(inline, value_type = FixedPoint<Vec<String>>)]
     pub second_moments: FixedPoint<[String; 6]>,
 }
 
-/// The mass properties of a union of solids: floats in user units for people, and the exact integers for machines.
-#[derive(Clone, PartialEq, Debug, Serialize)]
-pub struct SolidProperties {
-    /// The scene; null where there is none.
-    pub scene: Option<String>,
-    /// The change they are as of; null where there is none.
-    pub seq: Option<u64>,
-    /// Number of solids, two of the same body counted twice.
-    pub solids: u64,
+/// What is measured of a union of solids, or of a part of the stock: floats in user units for people, and the exact integers for machines.
+#[derive(Clone, PartialEq, Debug, Serialize, ToSchema)]
+pub struct SolidMeasures {
     /// Volume. Units: user units cubed.
     pub volume: f64,
     /// Area. Units: user units squared.
@@ -84,15 +87,33 @@ pub struct SolidProperties {
     /// Density times volume.
     pub mass: f64,
     /// Centre of mass; null when there is no volume. Units: user units. `[x, y, z]`
+    #[schema(min_items = 3, max_items = 3)]
     pub centroid: Option<[f64; 3]>,
     /// Inertia tensor about the centroid. Units: mass times user units squared. Rows `[[xx, xy, zx], [xy, yy, yz], [zx, yz, zz]]`
+    #[schema(inline, value_type = Vec<Vector>, min_items = 3, max_items = 3)]
     pub inertia: [[f64; 3]; 3],
-    /// The box around all solids; null when there is none.
-    pub bounds: Option<UserBounds>,
     /// How far rounding can be off.
     pub error_max: ErrorBounds,
     /// The exact integers.
     pub exact: ExactSolids,
+}
+
+/// The mass properties of a union of solids; of a scene with a stock, of what they remove from it.
+#[derive(Clone, PartialEq, Debug, Serialize, ToSchema)]
+pub struct SolidProperties {
+    /// The scene; null where there is none.
+    #[schema(example = "milled")]
+    pub scene: Option<String>,
+    /// The change they are as of; null where there is none.
+    #[schema(example = 5)]
+    pub seq: Option<u64>,
+    /// Number of solids, two of the same body counted twice.
+    pub solids: u64,
+    /// Of the union, cut to the stock where there is one.
+    #[serde(flatten)]
+    pub measures: SolidMeasures,
+    /// The box around all solids, wherever the stock is; null when there is none.
+    pub bounds: Option<UserBounds>,
 }
 
 // Divisors of the integers in steps to their power.
@@ -102,6 +123,11 @@ const LENGTH_DIVISOR: i128 = 2 << -LENGTH_UNIT;
 const FIRST_DIVISOR: i128 = 24 << -VOLUME_UNIT;
 const SECOND_DIVISOR: i128 = 120 << -VOLUME_UNIT;
 
+/// A volume in the unit of [`Measures::volume6`] in user units cubed.
+pub fn solid_volume(volume6: i128, scale: Scale) -> f64 {
+    float(volume6) / (float(VOLUME_DIVISOR) * scale.power(3))
+}
+
 /// The mass properties of totals.
 pub fn solid_properties(
     scene: Option<&str>,
@@ -110,22 +136,34 @@ pub fn solid_properties(
     scale: Scale,
     density: f64,
 ) -> SolidProperties {
-    let Totals {
-        solids,
-        measures,
-        bounds,
-        ..
-    } = totals;
+    let corner = |steps: [i32; 3]| steps.map(|steps| scale.user(steps.into()));
+    SolidProperties {
+        scene: scene.map(str::to_owned),
+        seq,
+        solids: totals.solids,
+        measures: solid_measures((&totals.measures, error_max), scale, density),
+        bounds: totals.bounds.map(|bounds| UserBounds {
+            min: corner(bounds.min),
+            max: corner(bounds.max),
+        }),
+    }
+}
+
+/// Measures in user units.
+pub(in crate::wire) fn solid_measures(
+    (measures, error_max): (&Measures, &ErrorMax),
+    scale: Scale,
+    density: f64,
+) -> SolidMeasures {
     let user = |integer: i128, divisor: i128, power: usize| {
         float(integer) / (float(divisor) * scale.power(power))
     };
     let error = |integer: u128, divisor: i128, power: usize| {
         user(i128::try_from(integer).unwrap_or(i128::MAX), divisor, power)
     };
-    let volume = user(measures.volume6, VOLUME_DIVISOR, 3);
+    let volume = solid_volume(measures.volume6, scale);
     let length = |integer: i128| user(integer, LENGTH_DIVISOR, 1);
     let [convex, concave, crossing] = measures.edge_length2;
-    let corner = |steps: [i32; 3]| steps.map(|steps| scale.user(steps.into()));
     let central = Central::of(measures);
     let central_error = central
         .as_ref()
@@ -133,10 +171,7 @@ pub fn solid_properties(
     let (centroid_error, inertia_error) = central_error.unwrap_or_default();
     let position = |steps: f64| steps / scale.power(1);
     let moment = |steps5: f64| density * steps5 / scale.power(5);
-    SolidProperties {
-        scene: scene.map(str::to_owned),
-        seq,
-        solids: *solids,
+    SolidMeasures {
         volume,
         area: user(measures.area2, AREA_DIVISOR, 2),
         edge_length: SolidEdgeLength {
@@ -151,10 +186,6 @@ pub fn solid_properties(
             .map(|central| central.centroid.map(position)),
         inertia: central.map_or([[0.0; 3]; 3], |central| {
             central.inertia.map(|row| row.map(moment))
-        }),
-        bounds: bounds.map(|bounds| UserBounds {
-            min: corner(bounds.min),
-            max: corner(bounds.max),
         }),
         error_max: ErrorBounds {
             volume: error(error_max.volume6, VOLUME_DIVISOR, 3),

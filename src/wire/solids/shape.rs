@@ -1,11 +1,16 @@
 //! From the JSON of a shape to convex solids around its anchor.
 
 use crate::engine::solids::Shape;
-use crate::geometry::convex::{Cutter, Deviation, End, Fit, InvalidCutter, Point, Solid};
+use crate::geometry::convex::{
+    Cutter, Deviation, End, Fit, InvalidCutter, Point, Solid, VERTICES_MAX,
+};
 
 use super::SolidFault;
-use super::documents::{BoxDocument, CutterDocument, FitName, ShapeDocument};
+use super::documents::{BoxDocument, CornersDocument, CutterDocument, FitName, ShapeDocument};
 use super::scale::{Scale, angle};
+
+/// Most points of a hull, whether or not they become vertices: a hull of many more could take minutes.
+const HULL_POINTS_MAX: usize = 4 * VERTICES_MAX;
 
 /// Rings of a round end unless said.
 const RINGS: u16 = 8;
@@ -62,7 +67,7 @@ fn convex(
         ShapeDocument::Box(BoxDocument::Size(size)) => {
             cuboid(Point::ORIGIN, scale.point(*size, "/box")?, "/box")
         }
-        ShapeDocument::Box(BoxDocument::Corners { min, max }) => {
+        ShapeDocument::Box(BoxDocument::Corners(CornersDocument { min, max })) => {
             let least = scale.point(*min, "/box/min")?;
             cuboid(least, scale.point(*max, "/box/max")?, "/box/max")
         }
@@ -84,6 +89,10 @@ fn cuboid(least: Point, greatest: Point, pointer: &str) -> Result<Solid, SolidFa
 
 /// The convex hull of points in user units, which are at `pointer`.
 pub(super) fn hull(points: &[[f64; 3]], scale: Scale, pointer: &str) -> Result<Solid, SolidFault> {
+    if points.len() > HULL_POINTS_MAX {
+        let what = format!("has {} points; the most is {HULL_POINTS_MAX}", points.len());
+        return Err(SolidFault::new(pointer, what));
+    }
     let point = |(index, at): (usize, &[f64; 3])| scale.point(*at, &format!("{pointer}/{index}"));
     let points: Vec<Point> = points
         .iter()

@@ -539,7 +539,7 @@ fn print(args: &Args, milled: &Milled<'_>) -> Result<(), Failure> {
             output,
             "{:<22}{} {unit}^3",
             "remaining",
-            number(remaining.volume)
+            number(remaining.measures.volume)
         )?;
     }
     write!(output, "\n{}", report_cutting(&milled.cutting, args))?;

@@ -1,0 +1,354 @@
+//! The settings of a scene of solids, as they are sent, answered and stored.
+
+use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
+use std::fmt;
+use std::sync::Arc;
+
+use serde::de::{Deserializer, Error, MapAccess, Visitor};
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use super::documents::ShapeDocument;
+use super::scale::Scale;
+use super::shape::shape;
+use crate::engine::solids;
+use crate::geometry::Stock;
+use crate::geometry::convex::{Deviation, Solid};
+use crate::service::{NamedShape, SHAPES_MAX, Shapes};
+use crate::wire::convert::{
+    DENSITY_MAX, KindName, Rounding, STEPS_PER_UNIT_MAX, StockDocument, UNIT_BYTES_MAX, whole,
+};
+use crate::wire::objects::{not_null, objects_only};
+use crate::wire::problem::{Fault, Faults};
+
+/// Longest name of a shape, in bytes.
+const NAME_BYTES_MAX: usize = 63;
+
+/// Settings of a scene of solids. A client may leave out all but `kind`.
+#[derive(Clone, PartialEq, Debug, Deserialize, ToSchema)]
+#[serde(remote = "Self", deny_unknown_fields)]
+#[schema(as = SolidSettings)]
+pub struct SolidSettingsDocument {
+    /// What the scene holds.
+    pub kind: KindName,
+    /// Lattice steps in a user unit.
+    #[serde(default = "default_steps")]
+    #[schema(value_type = u32, default = 10_000, example = 10_000, minimum = 1, maximum = 1_000_000_000)]
+    pub steps_per_unit: f64,
+    /// Label of the user unit.
+    #[serde(default = "default_unit")]
+    #[schema(default = "mm", example = "mm", min_length = 1, max_length = 32)]
+    pub unit: String,
+    /// Mass of a cubic user unit.
+    #[serde(default = "default_density")]
+    #[schema(default = 1, example = 1.0, exclusive_minimum = 0, maximum = 1e200)]
+    pub density: f64,
+    /// What becomes of a coordinate between two steps: the nearest step (halves away from zero), or refused. Lengths of cutters must be whole
+    /// numbers of steps anyway.
+    #[serde(default)]
+    #[schema(default = "nearest")]
+    pub rounding: Rounding,
+    /// The block of material that the solids are cut from, in user units: then the mass properties are those of what is removed, and say
+    /// what remains.
+    #[serde(default, deserialize_with = "not_null")]
+    #[schema(nullable = false)]
+    pub stock: Option<StockDocument>,
+    /// Shapes by their names, to begin with; at most 1,024.
+    #[serde(default, deserialize_with = "each_name_once")]
+    #[schema(example = json!({"t1": {"flat": {"diameter": 6, "length": 25}}}))]
+    pub shapes: BTreeMap<String, ShapeDocument>,
+}
+
+/// Reads shapes by their names, and refuses a name that stands twice.
+fn each_name_once<'de, D: Deserializer<'de>>(
+    deserializer: D,
+) -> Result<BTreeMap<String, ShapeDocument>, D::Error> {
+    struct Read;
+    impl<'de> Visitor<'de> for Read {
+        type Value = BTreeMap<String, ShapeDocument>;
+        fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+            formatter.write_str("shapes by their names")
+        }
+        fn visit_map<A: MapAccess<'de>>(self, mut named: A) -> Result<Self::Value, A::Error> {
+            let mut shapes = BTreeMap::new();
+            while let Some(name) = named.next_key()? {
+                match shapes.entry(name) {
+                    Entry::Vacant(vacant) => vacant.insert(named.next_value()?),
+                    Entry::Occupied(_) => return Err(A::Error::custom("a name stands twice")),
+                };
+            }
+            Ok(shapes)
+        }
+    }
+    deserializer.deserialize_map(Read)
+}
+
+fn default_steps() -> f64 {
+    10_000.0
+}
+
+fn default_unit() -> String {
+    "mm".to_owned()
+}
+
+fn default_density() -> f64 {
+    1.0
+}
+
+objects_only!(SolidSettingsDocument);
+
+/// What is fixed when a scene of solids is created, as it is stored.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize)]
+pub struct SolidSettings {
+    kind: KindName,
+    steps_per_unit: u32,
+    unit: String,
+    density: f64,
+    rounding: Rounding,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    stock: Option<StockDocument>,
+}
+
+/// The settings of a scene of solids as they are answered, with its shapes.
+#[derive(Serialize, ToSchema)]
+pub(in crate::wire) struct SolidSceneSettings {
+    /// What the scene holds.
+    kind: KindName,
+    /// Lattice steps in a user unit.
+    steps_per_unit: u32,
+    /// Label of the user unit.
+    unit: String,
+    /// Mass of a cubic user unit.
+    density: f64,
+    /// What becomes of a coordinate between two steps.
+    rounding: Rounding,
+    /// The block of material that the solids are cut from; left out when there is none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    stock: Option<StockDocument>,
+    /// The shapes by their names, as they can be sent again; left out while the scene does not answer.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    shapes: Option<BTreeMap<String, ShapeDocument>>,
+    /// Of each shape with round cutters, how far these are from their polygons.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    polygon_error: Option<BTreeMap<String, PolygonError>>,
+}
+
+/// What a scene of solids is created with.
+#[derive(Debug)]
+pub(in crate::wire) struct NewSolids {
+    pub(in crate::wire) settings: SolidSettings,
+    pub(in crate::wire) stock: Option<Stock>,
+    pub(in crate::wire) shapes: Vec<NamedShape>,
+}
+
+/// A shape with its name, as it is stored with the scene and answered.
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+pub(in crate::wire) struct DefinedShape {
+    /// As it can be sent again.
+    shape: ShapeDocument,
+    /// How far its round cutters are from their polygons; left out without one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    polygon_error: Option<PolygonError>,
+}
+
+/// How far, at most, the polygons that stand for circles are from them, in user units.
+#[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
+struct PolygonError {
+    /// How far they reach outside of the circles.
+    outside: f64,
+    /// How far they stay inside of them.
+    inside: f64,
+}
+
+impl SolidSettings {
+    /// Reads settings back from the text that [`SolidSettings::text`] made; none when it is not such a text.
+    pub fn from_text(text: &str) -> Option<Self> {
+        let settings: Self = serde_json::from_str(text).ok()?;
+        Scale::new(settings.steps_per_unit)
+            .is_ok()
+            .then_some(settings)
+    }
+
+    /// The one text of these settings: equal settings have equal texts.
+    pub fn text(&self) -> String {
+        serde_json::to_string(self).expect("numbers, strings and names are JSON")
+    }
+
+    /// How user units and steps correspond.
+    pub fn scale(&self) -> Scale {
+        let scale = Scale::new(self.steps_per_unit).expect("it was checked");
+        scale.with_rounding(self.rounding)
+    }
+
+    /// Mass of a cubic user unit.
+    pub fn density(&self) -> f64 {
+        self.density
+    }
+
+    /// The settings as they are answered, with the scene's shapes where they are known.
+    pub(in crate::wire) fn shown(&self, shapes: Option<&Shapes>) -> SolidSceneSettings {
+        let (mut documents, mut errors) = (BTreeMap::new(), BTreeMap::new());
+        for named in shapes.into_iter().flat_map(Shapes::iter) {
+            if let Some(defined) = DefinedShape::of(named) {
+                documents.insert(named.name.clone(), defined.shape);
+                errors.extend(
+                    defined
+                        .polygon_error
+                        .map(|error| (named.name.clone(), error)),
+                );
+            }
+        }
+        SolidSceneSettings {
+            kind: self.kind,
+            steps_per_unit: self.steps_per_unit,
+            unit: self.unit.clone(),
+            density: self.density,
+            rounding: self.rounding,
+            stock: self.stock,
+            polygon_error: shapes.map(|_| errors),
+            shapes: shapes.map(|_| documents),
+        }
+    }
+}
+
+impl DefinedShape {
+    /// A shape as it is answered; none when its text was not written here.
+    pub(in crate::wire) fn of(named: &NamedShape) -> Option<Self> {
+        serde_json::from_str(&named.document).ok()
+    }
+}
+
+/// What is wrong with settings, or what they mean. Those at fault already are passed over.
+pub(in crate::wire) fn check(
+    wanted: &SolidSettingsDocument,
+    faults: &mut Faults,
+) -> Option<NewSolids> {
+    let steps_per_unit = whole(wanted.steps_per_unit).and_then(|steps| u32::try_from(steps).ok());
+    let scale = steps_per_unit.and_then(|steps| Scale::new(steps).ok());
+    let scale = scale.map(|scale| scale.with_rounding(wanted.rounding));
+    let mut note = |pointer: String, detail: String| {
+        if !faults.cover(&pointer) {
+            faults.push(Fault::at(pointer, detail, None));
+        }
+    };
+    if scale.is_none() {
+        let detail = format!("is not a whole number from 1 to {STEPS_PER_UNIT_MAX}");
+        note("/steps_per_unit".to_owned(), detail);
+    }
+    let unit = &wanted.unit;
+    if !(1..=UNIT_BYTES_MAX).contains(&unit.len()) || unit.chars().any(char::is_control) {
+        let detail =
+            format!("is not a text of 1 to {UNIT_BYTES_MAX} bytes without control characters");
+        note("/unit".to_owned(), detail);
+    }
+    if !(wanted.density > 0.0 && wanted.density <= DENSITY_MAX) {
+        let detail = format!("is not above 0 and at most {DENSITY_MAX:e}");
+        note("/density".to_owned(), detail);
+    }
+    let scale = scale?;
+    let mut stock = None;
+    if let Some(document) = &wanted.stock {
+        match block(document, scale) {
+            Ok(block) => stock = Some(block),
+            Err((pointer, detail)) => note(format!("/stock{pointer}"), detail),
+        }
+    }
+    let mut shapes = Vec::new();
+    if wanted.shapes.len() > SHAPES_MAX {
+        let detail = format!(
+            "has {} shapes; the most is {SHAPES_MAX}",
+            wanted.shapes.len()
+        );
+        note("/shapes".to_owned(), detail);
+    }
+    for (name, document) in &wanted.shapes {
+        match named_shape(name, document, scale) {
+            Ok(shape) => shapes.push(shape),
+            Err((pointer, detail)) => note(format!("/shapes/{}{pointer}", escaped(name)), detail),
+        }
+    }
+    let user = |stock: Stock| {
+        let corner = |at: [i32; 3]| at.map(|steps| scale.user(steps.into()));
+        StockDocument {
+            min: corner(stock.bounds().min),
+            max: corner(stock.bounds().max),
+        }
+    };
+    faults.is_empty().then(|| NewSolids {
+        settings: SolidSettings {
+            kind: wanted.kind,
+            steps_per_unit: scale.steps_per_unit(),
+            unit: unit.clone(),
+            density: wanted.density,
+            rounding: wanted.rounding,
+            stock: stock.map(user),
+        },
+        stock,
+        shapes,
+    })
+}
+
+/// The lattice box of a stock in user units.
+fn block(document: &StockDocument, scale: Scale) -> Result<Stock, (String, String)> {
+    let corner = |at, pointer| {
+        let point = scale.point(at, pointer);
+        point.map_err(|fault| (fault.pointer, fault.what))
+    };
+    let (min, max) = (corner(document.min, "/min")?, corner(document.max, "/max")?);
+    let (least, greatest) = (min.wide(), max.wide());
+    if let Some(axis) = (0..3).find(|&axis| least[axis] >= greatest[axis]) {
+        let what = format!("= {} is not above the least corner's", document.max[axis]);
+        return Err((format!("/max/{axis}"), what));
+    }
+    let wrong = |what: String| (String::new(), what);
+    let stock = Stock::new(least, greatest).map_err(|invalid| wrong(invalid.to_string()))?;
+    let solid = Solid::cuboid(min, max).map_err(|invalid| wrong(invalid.to_string()))?;
+    solids::Stock::new(solid).map_err(|invalid| wrong(invalid.to_string()))?;
+    Ok(stock)
+}
+
+/// A shape with its name.
+/// # Errors
+/// Where in the shape's document, and what is wrong.
+pub(in crate::wire) fn named_shape(
+    name: &str,
+    document: &ShapeDocument,
+    scale: Scale,
+) -> Result<NamedShape, (String, String)> {
+    let plain = |byte: u8| byte.is_ascii_alphanumeric();
+    let fits = (1..=NAME_BYTES_MAX).contains(&name.len())
+        && name.bytes().next().is_some_and(plain)
+        && name
+            .bytes()
+            .all(|byte| plain(byte) || b"._-".contains(&byte));
+    if !fits {
+        let detail = format!(
+            "has a name that is not 1 to {NAME_BYTES_MAX} letters (a-z, A-Z), digits, '.', '_' and '-', the first a letter or digit"
+        );
+        return Err((String::new(), detail));
+    }
+    let read = shape(document, scale).map_err(|fault| (fault.pointer, fault.what))?;
+    let Deviation { outside, inside } = read.deviation;
+    let defined = DefinedShape {
+        shape: document.clone(),
+        polygon_error: (read.deviation != Deviation::default()).then(|| PolygonError {
+            outside: scale.deviation(outside),
+            inside: scale.deviation(inside),
+        }),
+    };
+    Ok(NamedShape {
+        name: name.to_owned(),
+        document: serde_json::to_string(&defined).expect("numbers and strings are JSON"),
+        shape: Arc::new(read.shape),
+    })
+}
+
+/// A step of a JSON pointer.
+fn escaped(step: &str) -> String {
+    step.replace('~', "~0").replace('/', "~1")
+}

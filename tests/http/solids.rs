@@ -1,0 +1,414 @@
+//! Scenes of solids over HTTP.
+
+use serde_json::{Value, json};
+
+use crate::server::{Answer, JSON, NDJSON, Server};
+
+const SETTINGS: &str = r#"{"kind":"solids","steps_per_unit":1000,
+    "shapes":{"b":{"box":[2,3,4]},"t1":{"flat":{"diameter":6,"length":25,"sides":8}}}}"#;
+
+async fn changed(server: &Server, body: &Value) -> Answer {
+    server.change("/v1/scenes/part", &body.to_string()).await
+}
+
+async fn created() -> Server {
+    let server = Server::start().await;
+    server.scene_with("part", SETTINGS).await;
+    server
+}
+
+/// Boxes whose measures everybody can compute, from the first change to the revert.
+#[tokio::test]
+async fn solids_are_measured_listed_and_reverted() {
+    let server = created().await;
+    let first = json!({"insert": [
+        {"id": 1, "shape": "b", "at": [0, 0, 0]},
+        {"id": "2", "shape": "b", "from": [0, 0, 0], "to": [10, 0, 0]},
+    ], "move": 7, "duration": 0.5});
+    let answer = changed(&server, &first).await.ok();
+    assert_eq!(
+        (&answer["seq"], &answer["inserted"]),
+        (&json!(1), &json!(2))
+    );
+    // The box carried 10 to the side: 12 x 3 x 4; the other lies in it.
+    let totals = &answer["mass_properties"];
+    assert_eq!(
+        (&totals["solids"], &totals["volume"]),
+        (&json!(2), &json!(144.0))
+    );
+    assert_eq!(totals["area"], 2.0 * (36.0 + 48.0 + 12.0));
+    assert_eq!(totals["centroid"], json!([6.0, 1.5, 2.0]));
+    assert_eq!(
+        totals["exact"]["volume"]["value"],
+        (144_i64 * 96).to_string() + "000000000"
+    );
+    assert_eq!(
+        answer["volume_removed_exact"],
+        totals["exact"]["volume"]["value"]
+    );
+
+    let hull =
+        json!({"insert": [{"id": 3, "hull": [[0, 0, 10], [6, 0, 10], [0, 6, 10], [0, 0, 16]]}]});
+    let answer = changed(&server, &hull).await.ok();
+    assert_eq!(answer["volume_removed"], 36.0);
+
+    let listed = server.get("/v1/scenes/part/solids").await.ok();
+    let mut solids = listed["solids"].as_array().unwrap().clone();
+    solids.sort_by_key(|solid| solid["id"].as_u64());
+    assert_eq!(
+        solids[0],
+        json!({"id": 1, "shape": "b", "at": [0.0, 0.0, 0.0]})
+    );
+    assert_eq!(solids[1]["to"], json!([10.0, 0.0, 0.0]));
+    assert_eq!(solids[2]["hull"].as_array().unwrap().len(), 4);
+    assert_eq!(server.get("/v1/scenes/part/solids/2").await.ok(), solids[1]);
+    server
+        .get("/v1/scenes/part/solids/9")
+        .await
+        .problem(404, "no-such-cube");
+    // What is listed can be inserted again.
+    let again = changed(&server, &json!({ "insert": solids })).await.ok();
+    assert_eq!((&again["seq"], &again["unchanged"]), (&json!(2), &json!(3)));
+    let lines = server
+        .request("GET", "/v1/scenes/part/solids")
+        .header("accept", NDJSON);
+    let lines = crate::server::send(lines).await;
+    assert_eq!(lines.text.lines().count(), 3);
+
+    let gone = server
+        .send("DELETE", "/v1/scenes/part/solids/2", JSON, "")
+        .await
+        .ok();
+    assert_eq!(
+        (&gone["deleted"], &gone["mass_properties"]["volume"]),
+        (&json!(1), &json!(60.0))
+    );
+    let past = server
+        .get("/v1/scenes/part/mass-properties?at=1")
+        .await
+        .ok();
+    assert_eq!(past["volume"], 144.0);
+    let back = server
+        .send("POST", "/v1/scenes/part/revert", JSON, r#"{"to":2}"#)
+        .await
+        .ok();
+    assert_eq!(
+        (&back["seq"], &back["mass_properties"]["volume"]),
+        (&json!(4), &json!(180.0))
+    );
+    let history = server.get("/v1/scenes/part/history").await.ok();
+    let removed: Vec<_> = history["changes"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|change| change["volume_removed"].as_f64().unwrap())
+        .collect();
+    assert_eq!(removed, [144.0, 36.0, -120.0, 120.0]);
+    assert_eq!(history["changes"][0]["removal_rate"], 288.0);
+    let csv = server
+        .request("GET", "/v1/scenes/part/history")
+        .header("accept", "text/csv");
+    let csv = crate::server::send(csv).await.text;
+    assert!(
+        csv.starts_with("seq,time,move,duration,inserted,deleted,solids,volume_removed,"),
+        "{csv}"
+    );
+    assert_eq!(csv.lines().count(), 5);
+    let audit = server
+        .send("POST", "/v1/scenes/part/audit", JSON, "")
+        .await
+        .ok();
+    assert_eq!(audit, json!({"seq": 4, "solids": 3, "equal": true}));
+}
+
+/// A block of material: what is removed and what remains add up.
+#[tokio::test]
+async fn a_stock_is_cut() {
+    let server = Server::start().await;
+    let settings = r#"{"kind":"solids","steps_per_unit":100,"stock":{"min":[0,0,-10],"max":[20,20,0]},
+        "shapes":{"b":{"box":[2,3,4]}}}"#;
+    server.scene_with("part", settings).await;
+    let cut = json!({"insert": [{"shape": "b", "from": [-5, 0, -2], "to": [30, 0, -2]}]});
+    let answer = changed(&server, &cut).await.ok();
+    assert_eq!(answer["assigned"], json!({"first": 1, "last": 1}));
+    let totals = &answer["mass_properties"];
+    assert_eq!(
+        (&totals["volume"], &totals["remaining"]["volume"]),
+        (&json!(120.0), &json!(3880.0))
+    );
+    // 20 x 3 x 2 along an edge of the block.
+    let removed = &totals["removed"];
+    assert_eq!(
+        (&removed["volume"], &removed["area"], &totals["area"]),
+        (&json!(120.0), &json!(212.0), &json!(212.0))
+    );
+    assert_eq!(
+        totals["remaining"]["area"],
+        2.0 * 400.0 + 4.0 * 200.0 - 2.0 * 6.0
+    );
+    let [whole, part] = ["removed", "remaining"].map(|part| {
+        let value = totals[part]["exact"]["volume"]["value"].as_str().unwrap();
+        value.parse::<i128>().unwrap()
+    });
+    assert_eq!(whole + part, 4000 * 96 * 1_000_000);
+    assert!(totals["error_max"]["volume"].as_f64().unwrap() < 1e-6);
+    let csv = server
+        .request("GET", "/v1/scenes/part/history")
+        .header("accept", "text/csv");
+    let csv = crate::server::send(csv).await.text;
+    let [header, row] = csv.lines().collect::<Vec<_>>()[..] else {
+        panic!("{csv}");
+    };
+    assert_eq!(header.split(',').count(), row.split(',').count());
+    assert!(row.contains(",120,3880,"), "{csv}");
+}
+
+/// Shapes come later, too, and never change; settings are answered with them.
+#[tokio::test]
+async fn shapes_are_defined_once() {
+    let server = created().await;
+    let path = "/v1/scenes/part/shapes/t2";
+    let ball = r#"{"ball":{"diameter":4,"length":20,"sides":8,"rings":3}}"#;
+    for _ in 0..2 {
+        let shape = server.send("PUT", path, JSON, ball).await.ok();
+        assert_eq!(shape["shape"]["ball"]["diameter"], 4.0);
+        assert!(shape["polygon_error"]["inside"].as_f64().unwrap() > 0.0);
+    }
+    let other = server.send("PUT", path, JSON, r#"{"box":[1,1,1]}"#).await;
+    other.problem(409, "shape-exists");
+    let scene = server.get("/v1/scenes/part").await.ok();
+    assert_eq!(
+        (&scene["kind"], &scene["solids"]),
+        (&json!("solids"), &json!(0))
+    );
+    assert!(scene.get("cubes").is_none() && scene.get("edge").is_none());
+    let names: Vec<_> = scene["shapes"].as_object().unwrap().keys().collect();
+    assert_eq!(names, ["b", "t1", "t2"]);
+    let same = server.send("PUT", "/v1/scenes/part", JSON, SETTINGS).await;
+    assert_eq!(same.status, 200, "{}", same.text);
+    let other = server
+        .send(
+            "PUT",
+            "/v1/scenes/part",
+            JSON,
+            r#"{"kind":"solids","density":2}"#,
+        )
+        .await;
+    other.problem(409, "scene-exists");
+    server
+        .send("PUT", "/v1/scenes/part", JSON, r#"{"edge":6}"#)
+        .await
+        .problem(409, "other-kind");
+}
+
+/// Refusals name the place.
+#[tokio::test]
+async fn what_is_wrong_is_named_with_its_place() {
+    let server = created().await;
+    let wrong = json!({"insert": [
+        {"id": 1, "shape": "b", "at": [0, 0, 0]},
+        {"id": 2, "shape": "none", "at": [0, 0, 0]},
+        {"id": 3, "hull": [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]},
+        {"id": 4, "hull": []},
+        {"id": 5, "shape": "b", "at": [0, 1e9, 0]},
+        {"id": 6, "shape": "b", "from": [0, 0, 0], "to": [9000, 0, 0]},
+        {"id": 7},
+        {"shape": "b", "at": [0, 0, 0]},
+        {"id": 1, "shape": "b", "at": [1, 0, 0]},
+    ]});
+    let places = changed(&server, &wrong).await.places();
+    assert_eq!(
+        places,
+        [
+            "/insert/1/shape",
+            "/insert/2/hull",
+            "/insert/3/hull",
+            "/insert/4/at/1",
+            "/insert/5/to",
+            "/insert/6",
+            "/insert/7",
+            "/insert/8/id",
+        ]
+    );
+    let one = |at: i64| json!({"insert": [{"id": 1, "shape": "b", "at": [at, 0, 0]}]});
+    changed(&server, &one(0)).await.ok();
+    let conflict = changed(&server, &one(1)).await.problem(409, "id-conflict");
+    assert_eq!(conflict["id"], 1);
+    // A hull whose points are all vertices.
+    let paraboloid = |side: i32| -> Value {
+        let grid = (0..side).flat_map(|x| (0..side).map(move |y| [x, y, x * x + y * y]));
+        grid.map(|steps| steps.map(|steps| f64::from(steps) / 1000.0))
+            .map(|point| json!(point))
+            .collect()
+    };
+    let hull = |points: Value| json!({"insert": [{"hull": points}]});
+    for (change, place, words) in [
+        (
+            hull(paraboloid(65)),
+            "/insert/0/hull",
+            "4225 vertices; the most is 4096",
+        ),
+        (
+            hull(paraboloid(129)),
+            "/insert/0/hull",
+            "16641 points; the most is 16384",
+        ),
+        (
+            hull(json!([[0, 0, 0], [3000, 0, 0], [0, 1, 0], [0, 0, 1]])),
+            "/insert/0/hull",
+            "3000000 steps long along x; the most is 2097152",
+        ),
+        (
+            json!({"insert": [{"shape": "b", "from": [0, 0, 0], "to": [0, -3000, 0]}]}),
+            "/insert/0/to",
+            "3003000 steps long along y; the most is 2097152",
+        ),
+        (
+            json!({"insert": [{"shape": "b", "at": [0, 0, 0]}], "duration": -1}),
+            "/duration",
+            "is not a number of seconds from 0 to 1e9",
+        ),
+    ] {
+        let refused = changed(&server, &change).await;
+        assert_eq!(refused.places(), [place]);
+        assert!(refused.text.contains(words), "{}", refused.text);
+    }
+    assert_eq!(server.totals("/v1/scenes/part").await["seq"], 1);
+    // What there is for cubes alone says so.
+    server
+        .get("/v1/scenes/part/cubes")
+        .await
+        .problem(409, "other-kind");
+    server
+        .get("/v1/scenes/part/contains?at=0,0,0")
+        .await
+        .problem(409, "other-kind");
+    server
+        .lines("/v1/scenes/part", "")
+        .await
+        .problem(415, "unsupported-media-type");
+}
+
+/// Settings that cannot be: each fault has its place, also among the shapes.
+#[tokio::test]
+async fn wrong_settings_are_named_with_their_places() {
+    let server = Server::start().await;
+    for (settings, places) in [
+        (
+            r#"{"kind":"solids","steps_per_unit":0.5,"density":-1}"#,
+            vec!["/steps_per_unit", "/density"],
+        ),
+        (r#"{"kind":"balls","edge":6}"#, vec!["/kind"]),
+        (
+            r#"{"kind":"solids","edge":6,"rounding":"up"}"#,
+            vec!["/edge", "/rounding"],
+        ),
+        (
+            r#"{"kind":"solids","stock":{"min":[0,0,0],"max":[1,0,1]},"shapes":{"a/b":{"box":[1,1,1]}}}"#,
+            vec!["/stock/max/1", "/shapes/a~1b"],
+        ),
+        (r#"{"kind":"solids","shapes":[]}"#, vec!["/shapes"]),
+        (
+            r#"{"kind":"solids","shapes":{"a":{"box":[1,1,1]},"a":{"box":[1,1,2]}}}"#,
+            vec!["/shapes/a"],
+        ),
+        (
+            r#"{"kind":"solids","shapes":{"a":{"flat":{"diameter":"6"}},"b":{"flat":{"diameter":6,"length":20,"sides":70000,"point":1}},
+                "c":{"box":[1,2]},"d":{"box":{"min":[0,0,0],"max":[1,null,1]}},"e":{"box":7},"f":{"ball":{"diameter":6,"length":20},"box":[1,1,1]},
+                "g":"flat","h":{"hull":[[0,0,0],[1,0]]},"i":{"parts":[{"box":[1,1,1]},{"vee":{"diameter":6,"length":20,"rings":3}}]}}}"#,
+            vec![
+                "/shapes/a/flat/length",
+                "/shapes/a/flat/diameter",
+                "/shapes/b/flat/point",
+                "/shapes/b/flat/sides",
+                "/shapes/c/box",
+                "/shapes/d/box/max/1",
+                "/shapes/e/box",
+                "/shapes/f",
+                "/shapes/g",
+                "/shapes/h/hull/1",
+                "/shapes/i/parts/1/vee/rings",
+            ],
+        ),
+        (
+            r#"{"kind":"solids","shapes":{"a":{"flat":{"diameter":-6,"length":20}},"b":{"flat":{"diameter":0.00001,"length":20}},
+                "c":{"hull":[[0,0,0],[1,0,0],[0,1,0],[1,1,0]]},"d":{"box":[1,0,1]},"e":{"parts":[]},"f":{"flat":{"diameter":6,"length":20,"sides":2}}}}"#,
+            vec![
+                "/shapes/a/flat/diameter",
+                "/shapes/b/flat/diameter",
+                "/shapes/c/hull",
+                "/shapes/d/box/1",
+                "/shapes/e/parts",
+                "/shapes/f/flat/sides",
+            ],
+        ),
+    ] {
+        let answer = server.send("PUT", "/v1/scenes/x", JSON, settings).await;
+        assert_eq!(answer.places(), places, "{}", answer.text);
+    }
+    server
+        .get("/v1/scenes/x")
+        .await
+        .problem(404, "no-such-scene");
+}
+
+/// Where coordinates between two steps are rejected, vertices are on the lattice or refused; elsewhere they are rounded.
+#[tokio::test]
+async fn what_is_off_the_lattice_is_rounded_or_refused() {
+    let server = Server::start().await;
+    for (name, rounding) in [("near", "nearest"), ("strict", "reject")] {
+        let settings = json!({"kind": "solids", "steps_per_unit": 10, "rounding": rounding});
+        server.scene_with(name, &settings.to_string()).await;
+    }
+    let hull = r#"{"insert":[{"hull":[[0,0,0],[1,0,0],[0,1.04,0],[0,0,1]]}]}"#;
+    let rounded = server.change("/v1/scenes/near", hull).await.ok();
+    assert_eq!(
+        rounded["mass_properties"]["bounds"]["max"],
+        json!([1.0, 1.0, 1.0])
+    );
+    let refused = server.change("/v1/scenes/strict", hull).await;
+    assert_eq!(refused.places(), ["/insert/0/hull/2/1"]);
+    assert!(
+        refused
+            .text
+            .contains("1.04 is 10.4 steps, which is off the lattice"),
+        "{}",
+        refused.text
+    );
+    let exact = hull.replace("1.04", "1.1");
+    server.change("/v1/scenes/strict", &exact).await.ok();
+}
+
+/// `kind` may be said of a scene of cubes, too.
+#[tokio::test]
+async fn scenes_of_cubes_may_say_so() {
+    let server = Server::start().await;
+    let path = server
+        .scene_with("pocket", r#"{"kind":"cubes","edge":6}"#)
+        .await;
+    let same = server.send("PUT", &path, JSON, r#"{"edge":6}"#).await.ok();
+    assert!(
+        same.get("kind").is_none(),
+        "nothing else is answered: {same}"
+    );
+    let shape = format!("{path}/shapes/b");
+    let shape = server.send("PUT", &shape, JSON, r#"{"box":[1,1,1]}"#).await;
+    shape.problem(409, "other-kind");
+}
+
+/// A key is answered again.
+#[tokio::test]
+async fn a_key_is_answered_again() {
+    let server = created().await;
+    let send = || {
+        let request = server.request("POST", "/v1/scenes/part/changes?return=minimal");
+        let request = request
+            .header("content-type", JSON)
+            .header("idempotency-key", "k1");
+        crate::server::send(request.body(r#"{"insert":[{"shape":"b","at":[0,0,0]}]}"#))
+    };
+    let first = send().await;
+    let again = send().await;
+    assert_eq!(again.header("idempotency-replayed"), "true");
+    assert_eq!(first.ok(), again.ok());
+}
