@@ -63,6 +63,11 @@ impl<K: SceneKind> Before<K> {
         })
     }
 
+    /// The bodies that were there before a change that named them.
+    pub(super) fn there(&self) -> impl Iterator<Item = (CubeId, K::Body)> + '_ {
+        self.there.bodies_after(None)
+    }
+
     /// Whether a change has named a body.
     pub(super) fn names(&self, id: CubeId) -> bool {
         self.there.get(id).is_some() || self.absent.get(id).is_some()

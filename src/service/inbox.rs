@@ -87,22 +87,29 @@ impl<K: SceneKind> Default for Inbox<K> {
 impl<K: SceneKind> Submission<K> {
     /// How many operations it has.
     pub(super) fn operations(&self) -> usize {
-        match &self.operations {
-            Operations::Named(ops) => ops.len(),
-            Operations::Numbered { delete, insert } => delete.len() + insert.len(),
-            // How many it takes is not known before it is its turn.
-            Operations::Revert(_) => 0,
-            Operations::Define(_) => 1,
-        }
+        self.operations.count()
     }
 
-    /// Whether it is committed alone: a definition is no record, and of a revert nobody knows how many operations it takes before it
-    /// is judged.
+    /// Whether it is committed alone: a definition is no record, a dry run is of the durable state, and of a revert nobody knows how many
+    /// operations it takes before it is judged.
     fn is_alone(&self) -> bool {
         matches!(
             self.operations,
-            Operations::Revert(_) | Operations::Define(_)
+            Operations::Revert(_) | Operations::Define(_) | Operations::DryRun(_)
         )
+    }
+}
+
+impl<K: SceneKind> Operations<K> {
+    fn count(&self) -> usize {
+        match self {
+            Self::Named(ops) => ops.len(),
+            Self::Numbered { delete, insert } => delete.len() + insert.len(),
+            // How many it takes is not known before it is its turn.
+            Self::Revert(_) => 0,
+            Self::DryRun(operations) => operations.count(),
+            Self::Define(_) => 1,
+        }
     }
 }
 

@@ -82,11 +82,7 @@ impl<K: SceneKind> Judging<'_, K> {
                 }
                 let effect =
                     revert::effect::<K>(self.engine, self.log, to).map_err(Unfit::Unread)?;
-                let bodies = effect.deleted.iter().chain(&effect.inserted);
-                let operations = bodies.map(|(_, body)| K::weight(body)).sum();
-                if operations > CHANGE_OPERATIONS_MAX {
-                    return Err(ServiceError::TooManyOperations { operations }.into());
-                }
+                weigh::<K>(&effect)?;
                 let net = Counts {
                     inserted: effect.inserted.len() as u64,
                     deleted: effect.deleted.len() as u64,
@@ -100,12 +96,13 @@ impl<K: SceneKind> Judging<'_, K> {
                     reverts_to: Some(to),
                 });
             }
-            Operations::Define(_) => {
-                unreachable!("a definition is no change of the set of bodies")
+            Operations::Define(_) | Operations::DryRun(_) => {
+                unreachable!("neither is a change of the set of bodies")
             }
         };
         let judged = K::judge(self.engine, &ops, self.config);
         let judged = judged.inspect_err(|_| meters::refused())?;
+        weigh::<K>(&judged.effect)?;
         Ok(Accepted {
             effect: judged.effect,
             counts: match counting {
@@ -117,4 +114,14 @@ impl<K: SceneKind> Judging<'_, K> {
             reverts_to: None,
         })
     }
+}
+
+/// Refuses what one record does not hold.
+fn weigh<K: SceneKind>(effect: &Effect<K::Body>) -> Result<(), ServiceError> {
+    let bodies = effect.deleted.iter().chain(&effect.inserted);
+    let operations = bodies.map(|(_, body)| K::weight(body)).sum();
+    if operations > CHANGE_OPERATIONS_MAX {
+        return Err(ServiceError::TooManyOperations { operations });
+    }
+    Ok(())
 }

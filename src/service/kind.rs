@@ -63,6 +63,9 @@ pub trait SceneKind: Kind {
     /// Applies an effect that was noted in short steps, between which others read; false when it does not fit.
     fn apply_in_steps(access: &impl Access<Self::Engine>, effect: &Effect<Self::Body>) -> bool;
 
+    /// Totals after an effect, without applying it; none where that takes applying it, and then its inverse.
+    fn dry_run(engine: &Self::Engine, effect: &Effect<Self::Body>) -> Option<Self::Totals>;
+
     /// Notes where a body is that a change deletes.
     fn note_near(near: &mut Self::Near, id: CubeId, body: &Self::Body);
 
@@ -127,6 +130,10 @@ impl SceneKind for Cubes {
 
     fn apply_in_steps(access: &impl Access, effect: &Effect) -> bool {
         Engine::apply_through(access, effect).is_ok()
+    }
+
+    fn dry_run(_: &Engine, _: &Effect) -> Option<Totals> {
+        None
     }
 
     fn note_near(near: &mut Places, id: CubeId, place: &Place) {

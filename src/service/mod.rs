@@ -124,6 +124,8 @@ pub enum Operations<K: Kind = Cubes> {
     },
     /// Whatever makes the set of bodies what it was at this seq. O(operations since).
     Revert(Seq),
+    /// Says what these would do if they came next: the answer is as if they had been applied, but nothing is, and no seq is taken.
+    DryRun(Box<Operations<K>>),
     /// Defines something that bodies stand on, as the log keeps it: no change of the set, and no seq.
     Define(Box<[u8]>),
 }

@@ -24,11 +24,14 @@ use super::gate::Gate;
 use super::inbox::{End, Inbox, Pending, Shut};
 use super::kind::SceneKind;
 use super::set::View;
+use super::solids::Solids;
 use super::{
     Applied, Audit, CHANGE_OPERATIONS_MAX, Chain, HistoryRow, Published, SceneName, SceneState,
     Seq, ServiceConfig, ServiceError, Submission, meters,
 };
+use crate::engine::solids::Body;
 use crate::engine::{Cursor, Side};
+use crate::geometry::convex::Point;
 use crate::geometry::{CubeId, Edge, Place, Stock};
 use crate::log::{Cubes, Header, HistoryReader, LogError};
 
@@ -445,6 +448,21 @@ impl Scene {
         self.read(move |view| {
             let (side, cube) = view.contains(point);
             (view.seq(), side, cube)
+        })
+        .await
+    }
+}
+
+impl SceneOf<Solids> {
+    /// Where a point lies in the union of the solids, cut to the stock where there is one, and the solid of least id that holds it there
+    /// (closed solids).
+    pub async fn contains(
+        &self,
+        point: Point,
+    ) -> Result<(Seq, Side, Option<(CubeId, Body)>), ServiceError> {
+        self.read(move |view| {
+            let (side, solid) = view.contains(point);
+            (view.seq(), side, solid)
         })
         .await
     }

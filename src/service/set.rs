@@ -15,8 +15,11 @@ use parking_lot::{Mutex, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
 use super::before::Before;
 use super::kind::SceneKind;
+use super::solids::Solids;
 use super::{Published, Seq};
+use crate::engine::solids::{Around, Body};
 use crate::engine::{Access, Cursor, Held, Side};
+use crate::geometry::convex::Point;
 use crate::geometry::{CubeId, Effect, Place};
 use crate::log::Cubes;
 
@@ -259,6 +262,29 @@ impl View<'_, Cubes> {
             held.by(id, place);
         }
         held.answer()
+    }
+}
+
+impl View<'_, Solids> {
+    /// Where a point lies, and the body of least id that holds it. O(bodies around it, and on their way).
+    pub(super) fn contains(&self, point: Point) -> (Side, Option<(CubeId, Body)>) {
+        let State { engine, ahead, .. } = &*self.0;
+        let (side, holder) = if ahead.before.is_empty() {
+            engine.contains(point)
+        } else {
+            let mut around = Around::new(point, engine.stock());
+            engine.each_near(point, |id, body| {
+                if !ahead.before.names(id) {
+                    around.add(id, body);
+                }
+            });
+            for (id, body) in ahead.before.there() {
+                around.add(id, &body);
+            }
+            around.answer()
+        };
+        let body = |id| Some((id, self.body(id)?));
+        (side, holder.and_then(body))
     }
 }
 

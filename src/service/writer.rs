@@ -19,7 +19,9 @@ use super::kind::SceneKind;
 use super::next_id::NextId;
 use super::scene::{Condition, SceneOf};
 use super::upkeep::Upkeep;
-use super::{Applied, Motion, Operations, Published, Seq, ServiceError, Submission, meters};
+use super::{
+    Applied, Counting, Motion, Operations, Published, Seq, ServiceError, Submission, meters,
+};
 use crate::engine::Access;
 use crate::engine::Counts;
 use crate::geometry::Effect;
@@ -194,6 +196,9 @@ impl<K: SceneKind> Writer<K> {
         if let Operations::Define(definition) = operations {
             return self.define(&definition);
         }
+        if let Operations::DryRun(operations) = operations {
+            return self.dry_run(scene, *operations, counting);
+        }
         if let Some((key, body)) = &key
             && let Some(earlier) = self.met_before(group, key)?
         {
@@ -203,20 +208,10 @@ impl<K: SceneKind> Writer<K> {
                 Err(ServiceError::KeyReused)
             });
         }
-        let accepted = self.feed.set.look(|engine| {
-            let judging = Judging {
-                engine,
-                newest: group.newest().unwrap_or(self.published).seq,
-                log: &self.log,
-                next_id: self.next_id,
-                config: &scene.setup.config,
-            };
-            judging.judge(operations, counting)
-        });
-        let accepted = match accepted {
+        let newest = group.newest().unwrap_or(self.published).seq;
+        let accepted = match self.accept(scene, newest, operations, counting)? {
             Ok(accepted) => accepted,
-            Err(Unfit::Refused(refusal)) => return Ok(Err(refusal)),
-            Err(Unfit::Unread(error)) => return Err(error),
+            Err(refusal) => return Ok(Err(refusal)),
         };
         let applied = self.apply(group, accepted, motion);
         if let Some((key, body)) = key {
@@ -228,6 +223,68 @@ impl<K: SceneKind> Writer<K> {
             });
         }
         Ok(Ok(applied))
+    }
+
+    /// Judges operations against the engine, which is at `newest`.
+    fn accept(
+        &self,
+        scene: &SceneOf<K>,
+        newest: Seq,
+        operations: Operations<K>,
+        counting: Counting,
+    ) -> Result<Result<Accepted<K>, ServiceError>, LogError> {
+        let accepted = self.feed.set.look(|engine| {
+            let judging = Judging {
+                engine,
+                newest,
+                log: &self.log,
+                next_id: self.next_id,
+                config: &scene.setup.config,
+            };
+            judging.judge(operations, counting)
+        });
+        match accepted {
+            Ok(accepted) => Ok(Ok(accepted)),
+            Err(Unfit::Refused(refusal)) => Ok(Err(refusal)),
+            Err(Unfit::Unread(error)) => Err(error),
+        }
+    }
+
+    /// Says what operations would do. It is a group of its own, so that the engine is at the durable state.
+    fn dry_run(
+        &self,
+        scene: &SceneOf<K>,
+        operations: Operations<K>,
+        counting: Counting,
+    ) -> Result<Outcome<K>, LogError> {
+        let accepted = match self.accept(scene, self.published.seq, operations, counting)? {
+            Ok(accepted) => accepted,
+            Err(refusal) => return Ok(Err(refusal)),
+        };
+        let Accepted { effect, .. } = accepted;
+        let set = &self.feed.set;
+        let foreseen = set.look_durable(|engine| K::dry_run(engine, &effect));
+        let totals = foreseen.unwrap_or_else(|| {
+            // Readers see the durable state meanwhile.
+            set.apply(&effect);
+            let totals = set.look(K::totals);
+            set.apply(&Effect {
+                deleted: effect.inserted,
+                inserted: effect.deleted,
+            });
+            set.advance(&self.published, || {});
+            totals
+        });
+        Ok(Ok(Applied {
+            published: Published {
+                totals,
+                ..self.published
+            },
+            counts: accepted.counts,
+            assigned: accepted.assigned,
+            volume_removed: K::removed(&totals) - K::removed(&self.published.totals),
+            replayed: false,
+        }))
     }
 
     /// Makes a definition durable and shows it. It is a group of its own, and takes no seq.

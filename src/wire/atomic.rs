@@ -10,8 +10,12 @@ use super::convert::Settings;
 use super::decode::{self, Decoded};
 use super::problem::{Code, Fault, Problem};
 use super::proto;
-use crate::engine::Rejected;
-use crate::service::{Applied, Counting, Scene, ServiceError, Submission};
+use super::solids::DecodedSolids;
+use crate::engine::{Rejected, solids};
+use crate::geometry::CubeId;
+use crate::service::{
+    Applied, Counting, Kind, Operations, Scene, ServiceError, SolidScene, Solids, Submission,
+};
 
 /// What is larger is decoded on a thread that may take its time.
 const DECODED_INLINE_BYTES_MAX: usize = 64 << 10;
@@ -24,6 +28,46 @@ pub(super) enum Sent {
     Protobuf(Bytes),
     /// A message.
     Message(proto::Change),
+}
+
+/// Whether a change is to be done.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum Run {
+    /// It is done.
+    Real,
+    /// The answer says what it would do.
+    Dry,
+}
+
+impl Run {
+    fn of<K: Kind>(self, operations: Operations<K>) -> Operations<K> {
+        match self {
+            Self::Real => operations,
+            Self::Dry => Operations::DryRun(Box::new(operations)),
+        }
+    }
+}
+
+/// Applies an atomic change of solids; the answer means that it is durable.
+pub(super) async fn apply_solids(
+    scene: &SolidScene,
+    decoded: DecodedSolids,
+    run: Run,
+    key: Option<(Box<str>, [u8; 32])>,
+) -> Result<Applied<Solids>, Problem> {
+    let submission = Submission {
+        operations: run.of(decoded.operations),
+        counting: Counting::Net,
+        motion: decoded.motion,
+        key,
+    };
+    match scene.change(submission).await {
+        Err(ServiceError::RejectedSolids(solids::Rejected::IdConflict { index, id })) => {
+            let pointer = format!("/insert/{}", index.saturating_sub(decoded.deletions));
+            Err(conflict_of_solids(id, pointer))
+        }
+        answer => Ok(answer?),
+    }
 }
 
 /// An atomic change on its way.
@@ -50,8 +94,13 @@ impl Atomic {
     }
 
     /// Applies it; the answer means that it is durable.
-    pub(super) async fn apply(self: &Arc<Self>, key: Option<Box<str>>) -> Result<Applied, Problem> {
-        let (submission, deletions) = self.submission(key).await?;
+    pub(super) async fn apply(
+        self: &Arc<Self>,
+        run: Run,
+        key: Option<Box<str>>,
+    ) -> Result<Applied, Problem> {
+        let (mut submission, deletions) = self.submission(key).await?;
+        submission.operations = run.of(submission.operations);
         let answer = self.scene.change(submission).await;
         self.judged(answer, deletions).await
     }
@@ -179,6 +228,21 @@ pub(super) fn conflict(
     let fault = Fault {
         value: Some(serde_json::json!({"id": id.0, "at": asked})),
         ..Fault::at(pointer(index), format!("is at {there:?} already"), None)
+    };
+    Problem::new(Code::IdConflict, detail)
+        .with("id", id.0)
+        .with_fault(fault)
+}
+
+/// The problem of an id that has another body, which is inserted at `pointer`.
+pub(super) fn conflict_of_solids(id: CubeId, pointer: String) -> Problem {
+    let detail = format!(
+        "solid {} is there already, with another body: delete it in the same change to put another in its place",
+        id.0
+    );
+    let fault = Fault {
+        value: Some(serde_json::json!({"id": id.0})),
+        ..Fault::at(pointer, "has another body already", None)
     };
     Problem::new(Code::IdConflict, detail)
         .with("id", id.0)

@@ -10,7 +10,8 @@ use sha2::{Digest, Sha256};
 use super::convert::Settings;
 use super::kind::{HistoryTotals, Opened, ShownKind};
 use super::problem::{Code, Fault, Problem};
-use super::solids::{NewSolids, SolidSettings};
+use super::solids::{NewSolids, Scale, SolidSettings};
+use crate::geometry::convex::Point;
 use crate::geometry::{CubeId, Place};
 use crate::service::{
     AnyScene, Applied, Counting, Cubes, HistoryRow, Motion, Operations, Published, Scene,
@@ -262,6 +263,16 @@ pub(super) fn point(at: [f64; 3], sent: &str, settings: &Settings) -> Result<[i3
         let detail = format!("{}: {invalid}", ["x", "y", "z"][axis]);
         Fault::in_parameter("at", detail, sent).into()
     })
+}
+
+/// The same in a scene of solids.
+pub(super) fn point_among_solids(at: [f64; 3], sent: &str, scale: Scale) -> Result<Point, Problem> {
+    if !at.iter().all(|coordinate| coordinate.is_finite()) {
+        return Err(Fault::in_parameter("at", NO_POINT, sent).into());
+    }
+    scale
+        .point(at, "")
+        .map_err(|fault| Fault::in_parameter("at", fault.to_string(), sent).into())
 }
 
 /// Recounts everything and compares: the seq that it is as of, and the number of cubes.

@@ -163,6 +163,220 @@ async fn a_stock_is_cut() {
     assert!(row.contains(",120,3880,"), "{csv}");
 }
 
+/// Lines act in their order; at a bad one the stream stops, and what came before is there.
+#[tokio::test]
+async fn a_stream_of_solids_is_applied_line_by_line() {
+    let server = created().await;
+    let scene = "/v1/scenes/part";
+    let lines = [
+        r#"{"insert":{"id":1,"shape":"b","at":[0,0,0]}}"#,
+        r#"{"insert":{"id":2,"shape":"b","from":[0,0,0],"to":[10,0,0]}}"#,
+        r#"{"insert":{"id":"3","hull":[[0,0,10],[6,0,10],[0,6,10],[0,0,16]]}}"#,
+        r#"{"delete":1}"#,
+        r#"{"insert":{"id":1,"shape":"b","at":[20,0,0]}}"#,
+    ];
+    let answer = server.lines(scene, &lines.join("\n")).await.ok();
+    assert_eq!(
+        (&answer["inserted"], &answer["deleted"]),
+        (&json!(4), &json!(1))
+    );
+    let totals = server.totals(scene).await;
+    assert_eq!(answer["mass_properties"], totals);
+    assert_eq!(
+        (&totals["solids"], &totals["volume"]),
+        (&json!(3), &json!(144.0 + 36.0 + 24.0))
+    );
+    // What is listed can be streamed back.
+    let listing = server
+        .request("GET", &format!("{scene}/solids"))
+        .header("accept", NDJSON);
+    let listing = crate::server::send(listing).await.text;
+    let again = server.lines(scene, &listing).await.ok();
+    assert_eq!(
+        (&again["unchanged"], &again["seq"]),
+        (&json!(3), &totals["seq"])
+    );
+    for (bad, status, code, words) in [
+        (
+            r#"{"insert":{"id":1,"shape":"b","at":[0,0,0]}}"#,
+            409,
+            "id-conflict",
+            "another body",
+        ),
+        (
+            r#"{"insert":{"shape":"b","at":[0,0,0]}}"#,
+            422,
+            "invalid",
+            "/insert/id is missing",
+        ),
+        (
+            r#"{"insert":{"id":9,"shape":"none","at":[0,0,0]}}"#,
+            422,
+            "invalid",
+            "/insert/shape",
+        ),
+        (
+            r#"{"insert":{"id":9,"hull":[[0,0,0],[1,0,0],[0,1,0]]}}"#,
+            422,
+            "invalid",
+            "/insert/hull",
+        ),
+        (
+            r#"{"insert":{"id":9,"shape":"b","at":[0,"x",0]}}"#,
+            422,
+            "invalid",
+            "/insert/at/1",
+        ),
+        (r#"{"insert":"#, 400, "bad-json", "column"),
+    ] {
+        let before = server.totals(scene).await;
+        let id = 100 + before["seq"].as_u64().unwrap();
+        let good = format!(r#"{{"insert":{{"id":{id},"shape":"b","at":[0,{id},0]}}}}"#);
+        let stream = [&good, "", bad, &good.replace("\"id\":1", "\"id\":2")].join("\n");
+        let stopped = server.lines(scene, &stream).await.problem(status, code);
+        assert_eq!(
+            (&stopped["line"], &stopped["committed_lines"]),
+            (&json!(3), &json!(2)),
+            "{stopped}"
+        );
+        assert!(
+            stopped["detail"].as_str().unwrap().contains(words),
+            "{stopped}"
+        );
+        let after = server.totals(scene).await;
+        assert_eq!(stopped["seq"], after["seq"]);
+        assert_eq!(
+            after["solids"].as_u64(),
+            before["solids"].as_u64().map(|solids| solids + 1)
+        );
+    }
+    // Many swept solids are one answer, in several chunks.
+    let many: String = (0..6000)
+        .map(|id| {
+            let x = id % 100;
+            format!(
+                "{{\"insert\":{{\"id\":{},\"shape\":\"b\",\"at\":[{},{},50]}}}}\n",
+                1000 + id,
+                10 * x,
+                id / 100 * 10
+            )
+        })
+        .collect();
+    let answer = server.lines(scene, &many).await.ok();
+    assert_eq!(answer["inserted"], 6000);
+    assert_eq!(answer["volume_removed"], 6000.0 * 24.0);
+}
+
+/// A dry run answers as the change itself would, and does nothing.
+#[tokio::test]
+async fn a_dry_run_tells_what_a_change_would_do() {
+    let server = Server::start().await;
+    let solids = r#"{"kind":"solids","steps_per_unit":100,"stock":{"min":[0,0,-10],"max":[20,20,0]},"shapes":{"b":{"box":[2,3,4]}}}"#;
+    let cubes = r#"{"edge":2,"steps_per_unit":100,"stock":{"min":[0,0,-10],"max":[20,20,0]}}"#;
+    let placed = |id: u64, x: f64, of: &str| match of {
+        "solids" => json!({"id": id, "shape": "b", "at": [x, 1, -2]}),
+        _ => json!({"id": id, "at": [x, 1, -2]}),
+    };
+    for (name, settings) in [("solids", solids), ("cubes", cubes)] {
+        let scene = server.scene_with(name, settings).await;
+        let first = json!({"insert": [placed(1, 0.0, name), placed(2, 10.0, name)]});
+        server.change(&scene, &first.to_string()).await.ok();
+        let before = server.totals(&scene).await;
+        let change = json!({"delete": [1], "insert": [placed(3, 9.0, name), placed(4, 30.0, name)], "move": 7}).to_string();
+        let dry = format!("{scene}/changes?dry_run=true");
+        let foreseen = server.send("POST", &dry, JSON, &change).await.ok();
+        assert_eq!(foreseen["dry_run"], true);
+        assert_eq!(
+            (&foreseen["seq"], &foreseen["mass_properties"]["seq"]),
+            (&json!(1), &Value::Null)
+        );
+        assert_eq!(server.totals(&scene).await, before, "nothing was done");
+        let history = server.get(&format!("{scene}/history")).await.ok();
+        assert_eq!(history["changes"].as_array().unwrap().len(), 1);
+        let done = server.change(&scene, &change).await.ok();
+        assert!(done.get("dry_run").is_none());
+        for member in ["inserted", "deleted", "unchanged", "volume_removed_exact"] {
+            assert_eq!(foreseen[member], done[member], "{name} {member}");
+        }
+        let mut totals = done["mass_properties"].clone();
+        totals["seq"] = Value::Null;
+        assert_eq!(foreseen["mass_properties"], totals, "{name}");
+        // Ids that the server would give are given to the next change.
+        let mut unnamed = placed(0, 5.0, name);
+        unnamed.as_object_mut().unwrap().remove("id");
+        let unnamed = json!({"insert": [unnamed]}).to_string();
+        for path in [&dry, &format!("{scene}/changes")] {
+            let answer = server.send("POST", path, JSON, &unnamed).await.ok();
+            assert_eq!(answer["assigned"], json!({"first": 5, "last": 5}));
+        }
+        // What a change is refused for, a dry run is, too.
+        let conflict = json!({"insert": [placed(2, 11.0, name)]}).to_string();
+        let refused = server.send("POST", &dry, JSON, &conflict).await;
+        refused.problem(409, "id-conflict");
+        let request = server.request("POST", &dry).header("content-type", JSON);
+        let request = request.header("idempotency-key", "k").body(unnamed.clone());
+        assert_eq!(
+            crate::server::send(request).await.places(),
+            ["Idempotency-Key"]
+        );
+        let stream = server.send("POST", &dry, NDJSON, "").await;
+        stream.problem(415, "unsupported-media-type");
+        let maybe = format!("{scene}/changes?dry_run=maybe");
+        let maybe = server.send("POST", &maybe, JSON, &unnamed).await;
+        assert_eq!(maybe.places(), ["dry_run"]);
+        let audit = server
+            .send("POST", &format!("{scene}/audit"), JSON, "")
+            .await
+            .ok();
+        assert_eq!(audit["equal"], true);
+    }
+}
+
+/// Where a point lies: in the union of the solids, as far as it is in the stock.
+#[tokio::test]
+async fn a_point_is_inside_on_the_boundary_or_outside() {
+    let server = created().await;
+    let boxes = json!({"insert": [
+        {"id": 7, "shape": "b", "at": [0, 0, 0]},
+        {"id": 5, "shape": "b", "at": [2, 0, 0]},
+        {"id": 6, "shape": "b", "at": [50, 0, 0]},
+    ]});
+    changed(&server, &boxes).await.ok();
+    for (at, side, solid) in [
+        ("1,1,1", "inside", Some(7)),
+        ("2,1,1", "inside", Some(5)),
+        ("2,1,4", "boundary", Some(5)),
+        ("0,0,0", "boundary", Some(7)),
+        ("-0.001,0,0", "outside", None),
+        ("51,1,1", "inside", Some(6)),
+    ] {
+        let path = format!("/v1/scenes/part/contains?at={at}");
+        let answer = server.get(&path).await.ok();
+        assert_eq!(answer["side"], side, "{at}");
+        assert_eq!(answer["solid"]["id"].as_u64(), solid, "{at}");
+        assert!(answer.get("cube").is_none());
+    }
+    let far = server.get("/v1/scenes/part/contains?at=0,2e6,0").await;
+    assert_eq!(far.places(), ["at"]);
+    let settings = r#"{"kind":"solids","stock":{"min":[0,0,0],"max":[10,10,10]}}"#;
+    let scene = server.scene_with("block", settings).await;
+    let change = r#"{"insert":[{"id":1,"hull":[[-5,-5,-5],[5,-5,-5],[-5,5,-5],[-5,-5,5],[5,5,5]]},
+        {"id":2,"hull":[[-5,0,0],[0,0,0],[0,5,0],[0,0,5]]}]}"#;
+    server.change(&scene, change).await.ok();
+    for (at, side, solid) in [
+        ("1,1,1", "inside", Some(1)),
+        ("0,1,1", "boundary", Some(1)),
+        ("-1,-1,-1", "outside", None),
+    ] {
+        let answer = server.get(&format!("{scene}/contains?at={at}")).await.ok();
+        assert_eq!(
+            (&answer["side"], answer["solid"]["id"].as_u64()),
+            (&json!(side), solid),
+            "{at}"
+        );
+    }
+}
+
 /// Shapes come later, too, and never change; settings are answered with them.
 #[tokio::test]
 async fn shapes_are_defined_once() {
@@ -279,14 +493,6 @@ async fn what_is_wrong_is_named_with_its_place() {
         .get("/v1/scenes/part/cubes")
         .await
         .problem(409, "other-kind");
-    server
-        .get("/v1/scenes/part/contains?at=0,0,0")
-        .await
-        .problem(409, "other-kind");
-    server
-        .lines("/v1/scenes/part", "")
-        .await
-        .problem(415, "unsupported-media-type");
 }
 
 /// Settings that cannot be: each fault has its place, also among the shapes.

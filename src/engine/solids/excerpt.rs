@@ -11,32 +11,32 @@ use std::sync::Arc;
 use rustc_hash::FxHashMap;
 
 use super::slots::State;
-use super::{Effect, Engine, Inconsistent, Totals, cursor};
+use super::{Effect, Engine, ErrorMax, Inconsistent, Totals, cursor};
 
 /// The slot of a witness, or of a part that covers another, outside of the excerpt: nobody has it, and nobody will.
 const ELSEWHERE: u32 = u32::MAX - 1;
 
 impl Engine {
-    /// What the totals would be after an effect. Nothing changes, not even what is prepared. It takes as long as applying the effect, and
+    /// What the totals would be after an effect, and how far rounding could be off in them. Nothing changes, not even what is prepared. It takes as long as applying the effect, and
     /// copying what is known of the parts around it.
     /// # Errors
     /// As of [`Engine::apply`].
-    pub fn dry_run(&self, effect: &Effect) -> Result<Totals, Inconsistent> {
+    pub fn dry_run(&self, effect: &Effect) -> Result<(Totals, ErrorMax), Inconsistent> {
         self.check(effect)?;
         let mut excerpt = self.excerpt(effect);
-        excerpt
-            .apply(effect)
-            .expect("it fits the bodies of the excerpt as it fits all");
+        let empties = self.len() == effect.deleted.len() as u64;
+        excerpt.replace(effect, empties);
         let deleted = effect.deleted.iter().map(|(_, body)| body);
         let inserted = effect.inserted.iter().map(|(_, body)| body);
-        Ok(Totals {
+        let totals = Totals {
             solids: self.len() - effect.deleted.len() as u64 + effect.inserted.len() as u64,
             bounds: self.extents.bounds_after(
                 deleted.flat_map(|body| (0..body.len()).map(|part| body.part_bounds(part))),
                 inserted.flat_map(|body| (0..body.len()).map(|part| body.part_bounds(part))),
             ),
             ..excerpt.totals()
-        })
+        };
+        Ok((totals, excerpt.error_max()))
     }
 
     /// The deleted bodies, and all parts that an effect can look at.
@@ -82,6 +82,8 @@ impl Engine {
             };
             excerpt.bodies.insert(cursor(*id), entry);
         }
+        let kernel = &mut excerpt.worker.kernel;
+        kernel.count_flags_of(&self.worker.kernel);
         excerpt.measures = self.measures;
         excerpt.rest = self.rest;
         excerpt

@@ -467,6 +467,11 @@ impl Ledger {
         self.flags.class_max = self.flags.class_max.max(class_max);
     }
 
+    /// Counts the flags that another ledger has rounded so far, instead of its own.
+    pub(super) fn count_flags_of(&mut self, other: &Self) {
+        self.flags = other.flags;
+    }
+
     /// Counts the flags rounded so far for ever.
     pub(super) fn keep_flags(&mut self) {
         self.flags_kept = self.flags;

@@ -79,6 +79,11 @@ impl Kernel {
         self.ledger.error_max()
     }
 
+    /// Counts the flags that another kernel has rounded so far, instead of its own.
+    pub(super) fn count_flags_of(&mut self, other: &Self) {
+        self.ledger.count_flags_of(&other.ledger);
+    }
+
     /// The measures of the stock itself, whose flags count for ever.
     pub(super) fn begin(&mut self, piece: &Piece) -> Measures {
         let features = Features::live(piece.edges.len(), piece.faces.len());

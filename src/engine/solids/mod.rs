@@ -34,6 +34,7 @@ mod bins;
 mod body;
 mod certify;
 mod clip;
+mod contains;
 mod double;
 mod exact;
 mod excerpt;
@@ -68,6 +69,7 @@ use super::Cursor;
 use bins::Bins;
 pub use body::{Body, InvalidBody, PARTS_MAX, Shape, SolidId};
 use certify::Room;
+pub use contains::Around;
 use face::Arithmetic;
 use features::Features;
 pub use judge::{Judged, Op, Rejected};
@@ -285,6 +287,13 @@ impl Engine {
     /// [`Inconsistent`] when the effect does not fit; then nothing has changed.
     pub fn apply(&mut self, effect: &Effect) -> Result<(), Inconsistent> {
         self.check(effect)?;
+        let empties = self.len() == effect.deleted.len() as u64;
+        self.replace(effect, empties);
+        Ok(())
+    }
+
+    /// Applies an effect that fits; `empties` when between its deletions and its insertions there is no body.
+    fn replace(&mut self, effect: &Effect, empties: bool) {
         let threads = self.threads;
         let is_batch = |bodies: &[_]| threads > 1 && bodies.len() >= batch::BATCH_MIN;
         if is_batch(&effect.deleted) {
@@ -294,7 +303,7 @@ impl Engine {
                 self.delete(*id);
             }
         }
-        if self.is_empty() {
+        if empties {
             // All measures are those of nothing again, to the last unit.
             self.worker.kernel.forget_flags();
         }
@@ -305,7 +314,6 @@ impl Engine {
                 self.insert(*id, body);
             }
         }
-        Ok(())
     }
 
     /// Whether an effect fits.

@@ -149,6 +149,13 @@ impl SceneKind for Solids {
         steps.all(|step| access.step(|engine| engine.apply(&step).is_ok()))
     }
 
+    fn dry_run(engine: &Engine, effect: &Effect) -> Option<SolidTotals> {
+        let (union, error_max) = engine
+            .dry_run(effect)
+            .expect("an effect fits the set that it was judged against");
+        Some(SolidTotals { union, error_max })
+    }
+
     fn note_near((): &mut (), _: CubeId, _: &Body) {}
 
     fn clear_near((): &mut ()) {}

@@ -2,7 +2,7 @@
 
 use std::collections::{HashMap, HashSet};
 
-use super::json::{self, Unreadable};
+use super::json;
 use super::{Decoded, too_many};
 use crate::engine::Op;
 use crate::geometry::{CubeId, Place};
@@ -66,8 +66,8 @@ pub fn line(text: &[u8], settings: &Settings) -> Result<Op, Problem> {
     {
         return Ok(operation);
     }
-    let text = json::text(text).map_err(on_one_line)?;
-    let raw = json::parse(&text).map_err(on_one_line)?;
+    let text = json::text(text).map_err(json::on_one_line)?;
+    let raw = json::parse(&text).map_err(json::on_one_line)?;
     let check = |line: &LineOperation<Cube>, faults: &mut Faults| {
         if let LineOperation::Insert(cube) = line {
             check_at(cube.at, "/insert/at", settings, faults);
@@ -91,8 +91,8 @@ pub fn file_line(text: &[u8]) -> Result<LineOperation<NewCube>, Problem> {
     if let Ok(line) = serde_json::from_slice(text) {
         return Ok(line);
     }
-    let text = json::text(text).map_err(on_one_line)?;
-    let raw = json::parse(&text).map_err(on_one_line)?;
+    let text = json::text(text).map_err(json::on_one_line)?;
+    let raw = json::parse(&text).map_err(json::on_one_line)?;
     let (line, faults) = json::examine(raw, usize::MAX, |_: &LineOperation<NewCube>, _| ());
     // A cube alone is known by the members that it should have.
     let is_line = faults.is_empty() || ["/id", "/at"].iter().all(|name| !faults.cover(name));
@@ -101,14 +101,6 @@ pub fn file_line(text: &[u8]) -> Result<LineOperation<NewCube>, Problem> {
     }
     let (cube, faults) = json::examine(raw, usize::MAX, |_: &NewCube, _| ());
     json::complete(cube.map(LineOperation::Insert), faults)
-}
-
-/// The caller knows which line it is, here there is only one.
-fn on_one_line(unreadable: Unreadable) -> Problem {
-    let Unreadable {
-        message, column, ..
-    } = unreadable;
-    Problem::new(Code::BadJson, format!("column {column}: {message}")).with("column", column)
 }
 
 /// Whether a body may be read at once: a good change has at most four commas a cube, and three more. So what is read before the cubes can

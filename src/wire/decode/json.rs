@@ -33,6 +33,34 @@ pub(super) fn read<T: DeserializeOwned>(
     complete(document, faults)
 }
 
+/// The same of a body that is one line of many, whose number the caller knows.
+/// # Errors
+/// As of [`read`], without a line.
+pub(super) fn read_line<T: DeserializeOwned>(
+    line: &[u8],
+    check: impl Fn(&T, &mut Faults),
+) -> Result<T, Problem> {
+    if let Ok(document) = serde_json::from_slice(line) {
+        let mut faults = Faults::default();
+        check(&document, &mut faults);
+        if faults.is_empty() {
+            return Ok(document);
+        }
+    }
+    let text = text(line).map_err(on_one_line)?;
+    let raw = parse(&text).map_err(on_one_line)?;
+    let (document, faults) = examine(raw, usize::MAX, check);
+    complete(document, faults)
+}
+
+/// The caller knows which line it is, here there is only one.
+pub(super) fn on_one_line(unreadable: Unreadable) -> Problem {
+    let Unreadable {
+        message, column, ..
+    } = unreadable;
+    Problem::new(Code::BadJson, format!("column {column}: {message}")).with("column", column)
+}
+
 /// Reads a value with all its faults, and shows beside each what was sent there.
 pub(super) fn examine<T: DeserializeOwned>(
     raw: &RawValue,

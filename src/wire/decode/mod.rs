@@ -16,11 +16,14 @@ pub use self::message::{
     change_message, change_message_duplicates, message, message_duplicates, settings_message,
 };
 use super::convert::{InvalidSetting, KindName, Settings, SettingsDocument};
-use super::documents::Revert;
+use super::documents::{LineOperation, Revert};
 use super::problem::{Code, Fault, Faults, Problem};
 use super::solids::{
-    self, DecodedSolids, NewSolids, Scale, ShapeDocument, SolidChange, SolidSettingsDocument,
+    self, DecodedSolids, NewSolids, Scale, ShapeDocument, SolidChange, SolidDocument,
+    SolidSettingsDocument,
 };
+use crate::engine::Op;
+use crate::engine::solids::Body;
 use crate::service::{Motion, NamedShape, Operations, Seq, Shapes};
 
 /// A decoded atomic change.
@@ -100,6 +103,19 @@ pub(super) fn solid_change(
     decoded
         .into_inner()
         .ok_or_else(|| Problem::new(Code::Internal, "a change has neither faults nor meaning"))
+}
+
+/// Reads one line of a stream of solids: `{"insert":{"id":1,"shape":"t1","from":[..],"to":[..]}}` or `{"delete":1}`.
+/// # Errors
+/// [`Code::BadJson`] or [`Code::Invalid`]; the caller knows the line's number.
+pub(super) fn solid_line(text: &[u8], shapes: &Shapes, scale: Scale) -> Result<Op<Body>, Problem> {
+    let operation = RefCell::new(None);
+    json::read_line(text, |line: &LineOperation<SolidDocument>, faults| {
+        operation.replace(solids::operation(line, shapes, scale, faults));
+    })?;
+    operation
+        .into_inner()
+        .ok_or_else(|| Problem::new(Code::Internal, "a line has neither faults nor meaning"))
 }
 
 /// Reads the settings of a scene.

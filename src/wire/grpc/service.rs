@@ -11,7 +11,7 @@ use super::messages::{self, Detail};
 use super::{idempotency_key, status, stream};
 use crate::geometry::CubeId;
 use crate::service::{AnyScene, Seq, Service, ServiceError};
-use crate::wire::atomic::{Atomic, Sent};
+use crate::wire::atomic::{Atomic, Run, Sent};
 use crate::wire::calls::{self, HistoryRows, within};
 use crate::wire::decode;
 use crate::wire::http::Limits;
@@ -117,7 +117,7 @@ impl UnionService for Calls {
             let (scene, settings) = calls::open(&self.service, &request.scene)?;
             let sent = Sent::Message(request.change.unwrap_or_default());
             let change = Atomic::new(scene, settings, sent, self.limits.change_cubes_max);
-            let applied = within(self.limits.request_timeout, change.apply(key)).await?;
+            let applied = within(self.limits.request_timeout, change.apply(Run::Real, key)).await?;
             let outcome = messages::outcome(detail, &change.scene, &change.settings, &applied);
             Ok(ApplyChangeResponse {
                 outcome: Some(outcome),

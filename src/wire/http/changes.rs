@@ -1,5 +1,7 @@
 //! Changes: atomic ones (JSON, protobuf) here, streams in `ndjson`.
 
+use std::sync::Arc;
+
 use axum::Json;
 use axum::body::Body;
 use axum::extract::State;
@@ -13,18 +15,17 @@ use super::request::{
 };
 use super::{App, ndjson, scenes};
 use crate::engine::Op;
-use crate::engine::solids::Rejected;
 use crate::geometry::CubeId;
 use crate::service::{
-    Applied, Counting, Motion, Operations, SceneOf, ServiceError, SolidScene, Solids, Submission,
+    Applied, Counting, Motion, Operations, SceneOf, SolidScene, Solids, Submission,
 };
-use crate::wire::atomic::{Atomic, Sent};
+use crate::wire::atomic::{self, Atomic, Run, Sent};
 use crate::wire::calls;
 use crate::wire::decode;
 use crate::wire::documents::{Change, Cube, Id, IdForm, LineOperation, Revert};
 use crate::wire::kind::{Opened, Properties, ShownKind};
-use crate::wire::problem::{Code, Fault, Problem};
-use crate::wire::solids::{SolidChange, SolidSettings};
+use crate::wire::problem::{Fault, Problem};
+use crate::wire::solids::{SolidChange, SolidDocument, SolidSettings};
 
 /// What a change did.
 #[derive(Serialize, ToSchema)]
@@ -32,6 +33,10 @@ pub(crate) struct ChangeAnswer {
     /// The scene's newest change: this one, unless it changed nothing.
     #[schema(example = 5)]
     seq: u64,
+    /// Always true: nothing was done, and the rest says what the change would do if it came next. Left out of what was done.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    dry_run: Option<bool>,
     /// Cubes or solids inserted.
     #[schema(example = 1)]
     inserted: u64,
@@ -51,7 +56,7 @@ pub(crate) struct ChangeAnswer {
     /// The same as a decimal integer, in lattice steps cubed; of a scene of solids in 96ths of them.
     #[schema(example = "82419190000")]
     volume_removed_exact: String,
-    /// The totals after it; left out with `return=minimal`.
+    /// The totals after it; left out with `return=minimal`. Of a dry run their `seq` is null.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
     mass_properties: Option<Properties>,
@@ -71,6 +76,7 @@ pub(crate) struct AssignedIds {
 pub(super) struct Wanted {
     returned: Return,
     ids: IdForm,
+    run: Run,
 }
 
 impl Wanted {
@@ -79,7 +85,47 @@ impl Wanted {
         Ok(Self {
             returned: query.returned()?,
             ids: query.ids()?,
+            run: Run::Real,
         })
+    }
+
+    /// The same of a change, which may be a dry run.
+    fn read_of_change(parameters: Parameters) -> Result<Self, Problem> {
+        let query = parameters.only(&["return", "ids", "dry_run"])?;
+        let run = if query.flag("dry_run")? {
+            Run::Dry
+        } else {
+            Run::Real
+        };
+        Ok(Self {
+            returned: query.returned()?,
+            ids: query.ids()?,
+            run,
+        })
+    }
+
+    /// The type of a change's body, one of `taken`, and its key; a key belongs to an atomic change that is done.
+    fn kind_and_key(
+        self,
+        headers: &HeaderMap,
+        taken: &[BodyType],
+    ) -> Result<(BodyType, Option<Box<str>>), Problem> {
+        let key = idempotency_key(headers)?;
+        // A stream is several changes, of which nobody knows what they would do.
+        let is_taken = |kind: &BodyType| self.run == Run::Real || *kind != BodyType::Ndjson;
+        let taken: Vec<BodyType> = taken.iter().copied().filter(is_taken).collect();
+        let kind = body_type(headers, &taken)?;
+        let detail = match (self.run, kind) {
+            (Run::Dry, _) => "is not taken with a dry run, of which nothing is kept",
+            (Run::Real, BodyType::Ndjson) => {
+                "is not taken with a stream: its lines name their ids, which makes a retry safe"
+            }
+            _ => return Ok((kind, key)),
+        };
+        match key {
+            Some(key) => Err(Fault::in_parameter("Idempotency-Key", detail, &key).into()),
+            None => Ok((kind, None)),
+        }
     }
 
     fn id(self, id: CubeId) -> Id {
@@ -102,8 +148,12 @@ pub(super) fn answer<K: ShownKind>(
     } = applied;
     let name = Some(scene.name().as_str());
     let seq = published.seq.0;
+    let is_dry = wanted.run == Run::Dry;
+    // What would be has no seq.
+    let as_of = (!is_dry).then_some(seq);
     Json(ChangeAnswer {
         seq,
+        dry_run: is_dry.then_some(true),
         inserted: counts.inserted,
         deleted: counts.deleted,
         unchanged: counts.unchanged,
@@ -114,7 +164,7 @@ pub(super) fn answer<K: ShownKind>(
         volume_removed: K::volume_user(*volume_removed, settings),
         volume_removed_exact: volume_removed.to_string(),
         mass_properties: (wanted.returned == Return::Representation)
-            .then(|| K::shown(K::properties(name, Some(seq), &published.totals, settings))),
+            .then(|| K::shown(K::properties(name, as_of, &published.totals, settings))),
     })
 }
 
@@ -136,8 +186,8 @@ fn applied_answer<K: ShownKind>(
 
 /// Insert and delete cubes or solids
 ///
-/// A scene of solids takes one atomic change of `application/json`: its solids are shapes of the scene, at one place or carried along a
-/// segment, and hulls.
+/// Solids are shapes of the scene, at one place or carried along a segment, and hulls; a scene of solids takes `application/json` and
+/// `application/x-ndjson`.
 ///
 /// `application/json` and `application/x-protobuf` (the message `union3d.v1.Change`) are one atomic change: deletions first, all or
 /// nothing. Inserting an id that is there at the same place, or deleting one that is not there, changes nothing and counts as
@@ -154,12 +204,13 @@ fn applied_answer<K: ShownKind>(
         ("scene" = String, Path, description = "Name of the scene", example = "pocket"),
         ("return" = inline(Option<Return>), Query, description = "`minimal` leaves `mass_properties` out", example = "minimal"),
         ("ids" = inline(Option<IdForm>), Query, description = ABOUT_IDS, example = "text"),
+        ("dry_run" = Option<bool>, Query, description = "`true`: the answer says what the change would do, and nothing is done. Not for streams, and without a key"),
         ("Idempotency-Key" = Option<String>, Header, description = "1 to 64 visible ASCII characters. The answer to the first change with this key is repeated, with `Idempotency-Replayed: true`. Not for streams"),
     ),
     request_body(content(
         (AnyChange = "application/json",
             example = json!({"delete": [17], "insert": [{"id": 18, "at": [0, 0, 2.5]}]})),
-        (inline(LineOperation<Cube>) = "application/x-ndjson",
+        (inline(LineOperation<AnyBody>) = "application/x-ndjson",
             example = json!({"insert": {"id": 1, "at": [0, 0, 2.5]}})),
         (Vec<u8> = "application/x-protobuf"),
     )),
@@ -173,26 +224,18 @@ pub(super) async fn post_changes(
     headers: HeaderMap,
     body: Body,
 ) -> Result<Response, Problem> {
-    let wanted = Wanted::read(parameters)?;
+    let wanted = Wanted::read_of_change(parameters)?;
     let (scene, settings) = match scenes::open_any(&app, &name)? {
         Opened::Cubes(scene, settings) => (scene, settings),
         Opened::Solids(scene, settings) => {
-            let applied = change_solids(&app, &scene, &settings, &headers, body).await;
+            let applied = change_solids(&app, &scene, &settings, wanted, (&headers, body)).await;
             let applied = applied.map_err(|problem| problem.with_ids(wanted.ids))?;
             return Ok(applied_answer(&scene, &settings, wanted, &applied));
         }
     };
-    let key = idempotency_key(&headers)?;
-    let kind = body_type(
-        &headers,
-        &[BodyType::Json, BodyType::Ndjson, BodyType::Protobuf],
-    )?;
+    let taken = [BodyType::Json, BodyType::Ndjson, BodyType::Protobuf];
+    let (kind, key) = wanted.kind_and_key(&headers, &taken)?;
     if kind == BodyType::Ndjson {
-        if let Some(key) = key {
-            let detail =
-                "is not taken with a stream: its lines name their ids, which makes a retry safe";
-            return Err(Fault::in_parameter("Idempotency-Key", detail, &key).into());
-        }
         let idle_max = app.limits.request_timeout;
         let applied = ndjson::apply(&scene, &settings, body, idle_max).await;
         let applied = applied.map_err(|problem| problem.with_ids(wanted.ids))?;
@@ -207,7 +250,7 @@ pub(super) async fn post_changes(
     };
     let (time, cubes_max) = (app.limits.request_timeout, app.limits.change_cubes_max);
     let change = Atomic::new(scene, settings, sent, cubes_max);
-    let applied = calls::within(time, change.apply(key)).await;
+    let applied = calls::within(time, change.apply(wanted.run, key)).await;
     let applied = applied.map_err(|problem| problem.with_ids(wanted.ids))?;
     Ok(applied_answer(
         &change.scene,
@@ -220,13 +263,16 @@ pub(super) async fn post_changes(
 /// An atomic change of a scene of solids.
 async fn change_solids(
     app: &App,
-    scene: &SolidScene,
-    settings: &SolidSettings,
-    headers: &HeaderMap,
-    body: Body,
+    scene: &Arc<SolidScene>,
+    settings: &Arc<SolidSettings>,
+    wanted: Wanted,
+    (headers, body): (&HeaderMap, Body),
 ) -> Result<Applied<Solids>, Problem> {
-    let key = idempotency_key(headers)?;
-    body_type(headers, &[BodyType::Json])?;
+    let taken = [BodyType::Json, BodyType::Ndjson];
+    let (kind, key) = wanted.kind_and_key(headers, &taken)?;
+    if kind == BodyType::Ndjson {
+        return ndjson::apply(scene, settings, body, app.limits.request_timeout).await;
+    }
     let body = request::read(headers, body, &app.limits, &app.room).await?;
     let key = key.map(|key| (key, calls::digest("application/json", &body.bytes)));
     let (bytes, shapes) = (body.bytes.clone(), scene.context()?);
@@ -237,26 +283,8 @@ async fn change_solids(
         Ok(decoded) => decoded?,
         Err(error) => std::panic::resume_unwind(error.into_panic()),
     };
-    let submission = Submission {
-        operations: decoded.operations,
-        counting: Counting::Net,
-        motion: decoded.motion,
-        key,
-    };
-    let changed = async {
-        match scene.change(submission).await {
-            Err(ServiceError::RejectedSolids(Rejected::IdConflict { index, id })) => {
-                let pointer = format!("/insert/{}", index.saturating_sub(decoded.deletions));
-                let detail = format!(
-                    "{pointer}: solid {} is there already, with another body; delete it in the same change to put another in its place",
-                    id.0
-                );
-                Err(Problem::new(Code::IdConflict, detail).with("id", id.0))
-            }
-            answer => Ok(answer?),
-        }
-    };
-    calls::within(app.limits.request_timeout, changed).await
+    let change = atomic::apply_solids(scene, decoded, wanted.run, key);
+    calls::within(app.limits.request_timeout, change).await
 }
 
 /// Go back
@@ -330,6 +358,20 @@ pub(super) async fn delete_cube(
     };
     let applied = scene.change(submission).await?;
     Ok(answer(&scene, &settings, wanted, &applied))
+}
+
+/// What a line inserts into a scene of either kind.
+#[derive(ToSchema)]
+#[serde(untagged)]
+#[expect(
+    dead_code,
+    reason = "it stands in the description; each is read by what the scene is"
+)]
+enum AnyBody {
+    /// A cube.
+    Cube(Cube),
+    /// A solid, with its id.
+    Solid(SolidDocument),
 }
 
 /// A change of a scene of either kind.

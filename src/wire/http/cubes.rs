@@ -1,4 +1,4 @@
-//! Reading cubes: one, a page, all; and which of them hold a point.
+//! Reading cubes: one, a page, all.
 
 use std::convert::Infallible;
 use std::sync::Arc;
@@ -17,7 +17,7 @@ use super::request::{
     ABOUT_ID, ABOUT_IDS, BodyType, Known, Parameters, Path, VARY, preferred, whole,
 };
 use super::{App, scenes};
-use crate::engine::{Cursor, Side};
+use crate::engine::Cursor;
 use crate::geometry::CubeId;
 use crate::service::Scene;
 use crate::wire::calls;
@@ -143,76 +143,4 @@ async fn all_cubes(
     headers.insert(header::CONTENT_TYPE, BodyType::Ndjson.value());
     headers.typed_insert(entity_tag(scene, seq));
     Ok((headers, Body::from_stream(lines)).into_response())
-}
-
-/// Where a point lies.
-#[derive(Serialize, ToSchema)]
-pub(crate) struct Containment {
-    /// The change that this is as of.
-    seq: u64,
-    /// Where the point lies.
-    side: SideName,
-    /// A cube that holds it, its faces included; null when there is none.
-    cube: Option<Cube>,
-    /// The lattice point that was asked about, in user units.
-    #[schema(min_items = 3, max_items = 3)]
-    point: [f64; 3],
-}
-
-/// Where a point lies.
-#[derive(Serialize, ToSchema)]
-#[schema(as = Side)]
-#[serde(rename_all = "lowercase")]
-enum SideName {
-    /// In the interior of the union.
-    Inside,
-    /// On its boundary.
-    Boundary,
-    /// Outside.
-    Outside,
-}
-
-/// Ask where a point lies
-///
-/// The point is rounded to the lattice as the scene's settings say.
-#[utoipa::path(
-    get, path = "/v1/scenes/{scene}/contains", tag = "cubes",
-    params(
-        ("scene" = String, Path, description = "Name of the scene", example = "pocket"),
-        ("at" = String, Query, pattern = r"^[-+]?[0-9]{1,15}(\.[0-9]{0,15})?(e[-+]?[0-9]{1,2})?(,[-+]?[0-9]{1,15}(\.[0-9]{0,15})?(e[-+]?[0-9]{1,2})?){2}$", description = "`x,y,z` in user units", example = "1.5,2,0"),
-        ("ids" = inline(Option<IdForm>), Query, description = ABOUT_IDS, example = "text"),
-    ),
-    responses((status = 200, description = "Where it lies", body = Containment))
-)]
-pub(super) async fn get_contains(
-    State(app): State<App>,
-    Path(name): Path<String>,
-    parameters: Parameters,
-) -> Result<Json<Containment>, Problem> {
-    let query = parameters.only(&["at", "ids"])?;
-    let ids = query.ids()?;
-    let (scene, settings) = scenes::open(&app, &name)?;
-    let point = point(query.text("at"), &settings)?;
-    let (seq, side, cube) = scene.contains(point).await?;
-    Ok(Json(Containment {
-        seq: seq.0,
-        side: match side {
-            Side::Inside => SideName::Inside,
-            Side::Boundary => SideName::Boundary,
-            Side::Outside => SideName::Outside,
-        },
-        cube: cube.map(|cube| Cube::new(cube, ids, &settings)),
-        point: settings.point_user(point),
-    }))
-}
-
-/// The lattice point of `x,y,z`.
-fn point(text: Option<&str>, settings: &Settings) -> Result<[i32; 3], Problem> {
-    let text = text.unwrap_or_default();
-    let numbers = text.split(',').map(|number| number.trim().parse().ok());
-    let numbers: Option<Vec<f64>> = numbers.collect();
-    match numbers.and_then(|numbers| <[f64; 3]>::try_from(numbers).ok()) {
-        Some(at) => calls::point(at, text, settings),
-        None => Err(Fault::in_parameter("at", calls::NO_POINT, text).into()),
-    }
 }

@@ -5,6 +5,7 @@
 //! ```
 
 mod changes;
+mod contains;
 mod cubes;
 mod drain;
 mod history;
@@ -77,7 +78,8 @@ type Route = (&'static str, MethodRouter<App>);
 
 /// Calls that are answered soon or not at all.
 fn bounded_routes() -> Vec<Route> {
-    use cubes::{get_contains, get_cube, get_cubes};
+    use contains::get_contains;
+    use cubes::{get_cube, get_cubes};
     use history::get_history;
     use openapi::get_openapi;
     use operate::{get_healthz, get_metrics, get_problem, get_problems, get_readyz};

@@ -17,16 +17,17 @@ use futures_util::StreamExt;
 use tokio::time::Instant;
 
 use super::request::{broken, slow_request};
-use crate::engine::{Counts, Op, Rejected};
+use crate::engine::{Counts, Op, Rejected, solids};
 use crate::service::{
-    Applied, Counting, Motion, Operations, Published, Scene, ServiceError, Submission,
+    Applied, Counting, Cubes, Kind, Motion, Operations, Published, SceneOf, ServiceError, Solids,
+    Submission,
 };
-use crate::wire::atomic::conflict;
-use crate::wire::convert::Settings;
+use crate::wire::atomic::{conflict, conflict_of_solids};
 use crate::wire::decode;
+use crate::wire::kind::ShownKind;
 use crate::wire::problem::{Code, Problem};
 
-/// Operations that are worth a chunk.
+/// Operations that are worth a chunk; a hull counts as its vertices do.
 const CHUNK_OPERATIONS: usize = 4_096;
 
 /// Operations that may wait while a chunk is in flight; then the client is made to wait.
@@ -35,29 +36,89 @@ const WAITING_OPERATIONS_MAX: usize = 4 * CHUNK_OPERATIONS;
 /// How long operations wait for more of them while nothing is in flight.
 const LINGER: Duration = Duration::from_millis(5);
 
-/// Longest line, in bytes.
-const LINE_BYTES_MAX: usize = 64 << 10;
+/// A kind of scene, as streams know it.
+pub(super) trait StreamedKind: ShownKind {
+    /// Longest line, in bytes.
+    const LINE_BYTES_MAX: usize;
+    /// Whether reading a line takes so short that other requests can wait.
+    const READS_AT_ONCE: bool;
+
+    /// Reads a line.
+    fn line(
+        text: &[u8],
+        scene: &SceneOf<Self>,
+        settings: &Self::Settings,
+    ) -> Result<Op<Self::Body>, Problem>;
+
+    /// Which operation is refused, when an error names one, and why.
+    fn refused(error: &ServiceError, settings: &Self::Settings) -> Option<(usize, Problem)>;
+}
+
+impl StreamedKind for Cubes {
+    const LINE_BYTES_MAX: usize = 64 << 10;
+    const READS_AT_ONCE: bool = true;
+
+    fn line(
+        text: &[u8],
+        _: &SceneOf<Cubes>,
+        settings: &Self::Settings,
+    ) -> Result<Op<Self::Body>, Problem> {
+        decode::line(text, settings)
+    }
+
+    fn refused(error: &ServiceError, settings: &Self::Settings) -> Option<(usize, Problem)> {
+        let ServiceError::Rejected(rejected @ Rejected::IdConflict { index, .. }) = *error else {
+            return None;
+        };
+        let problem = conflict(rejected, settings, |_| "/insert".to_owned());
+        Some((index, problem))
+    }
+}
+
+impl StreamedKind for Solids {
+    /// A hull of 4,096 vertices takes about 250,000 bytes.
+    const LINE_BYTES_MAX: usize = 1 << 20;
+    const READS_AT_ONCE: bool = false;
+
+    fn line(
+        text: &[u8],
+        scene: &SceneOf<Solids>,
+        settings: &Self::Settings,
+    ) -> Result<Op<Self::Body>, Problem> {
+        // Shapes that were defined meanwhile are there.
+        let shapes = scene.context()?;
+        decode::solid_line(text, &shapes, settings.scale())
+    }
+
+    fn refused(error: &ServiceError, _: &Self::Settings) -> Option<(usize, Problem)> {
+        let ServiceError::RejectedSolids(solids::Rejected::IdConflict { index, id }) = *error
+        else {
+            return None;
+        };
+        Some((index, conflict_of_solids(id, "/insert".to_owned())))
+    }
+}
 
 /// Applies a stream to its end. Answers the state after the last chunk, and what all of them did.
 /// # Errors
 /// What stopped it, with `line`, `committed_lines` and `seq`: all lines before are committed, none after.
-pub(super) async fn apply(
-    scene: &Arc<Scene>,
-    settings: &Settings,
+pub(super) async fn apply<K: StreamedKind>(
+    scene: &Arc<SceneOf<K>>,
+    settings: &Arc<K::Settings>,
     body: Body,
     idle_max: Duration,
-) -> Result<Applied, Problem> {
+) -> Result<Applied<K>, Problem> {
     let mut body = body.into_data_stream();
-    let mut lines = Lines::default();
-    let mut waiting = Chunk::default();
-    let mut in_flight: Option<Pin<Box<dyn Future<Output = Committed> + Send + '_>>> = None;
-    let mut sums = Sums::default();
+    let mut lines = Lines::new(scene, settings);
+    let mut waiting = Chunk::<K>::default();
+    let mut in_flight: Option<Pin<Box<dyn Future<Output = Committed<K>> + Send + '_>>> = None;
+    let mut sums = Sums::<K>::default();
     // Why nothing more is read: the end, or what is wrong.
     let mut end: Option<Result<(), Problem>> = None;
     let mut quiet_since = Instant::now();
     loop {
         let lingered = waiting.since.is_some_and(|since| since.elapsed() >= LINGER);
-        let ready = waiting.operations.len() >= CHUNK_OPERATIONS || lingered || end.is_some();
+        let ready = waiting.weight >= CHUNK_OPERATIONS || lingered || end.is_some();
         if in_flight.is_none() && ready && !waiting.operations.is_empty() {
             let chunk = std::mem::take(&mut waiting);
             in_flight = Some(Box::pin(commit(scene, settings, chunk)));
@@ -65,7 +126,7 @@ pub(super) async fn apply(
         if in_flight.is_none() && waiting.operations.is_empty() && end.is_some() {
             break;
         }
-        let reading = end.is_none() && waiting.operations.len() < WAITING_OPERATIONS_MAX;
+        let reading = end.is_none() && waiting.weight < WAITING_OPERATIONS_MAX;
         let deadline = waiting
             .since
             .map_or(quiet_since + idle_max, |since| since + LINGER);
@@ -79,12 +140,12 @@ pub(super) async fn apply(
             }
             piece = body.next(), if reading => match piece {
                 Some(Ok(piece)) => {
-                    if let Err(problem) = lines.read(&piece, settings, &mut waiting) {
-                        end = Some(Err(problem));
-                    }
+                    let read;
+                    (lines, waiting, read) = read_piece(lines, waiting, piece).await;
+                    end = read.err().map(Err);
                 }
                 Some(Err(error)) => end = Some(Err(broken(&error))),
-                None => end = Some(lines.finish(settings, &mut waiting)),
+                None => end = Some(lines.finish(&mut waiting)),
             },
             // Time counts against the client only while the server waits for nothing else.
             () = tokio::time::sleep_until(deadline), if reading && in_flight.is_none() => {
@@ -109,26 +170,61 @@ pub(super) async fn apply(
     })
 }
 
+/// Reads a piece of the body where it does not hold up other requests.
+async fn read_piece<K: StreamedKind>(
+    mut lines: Lines<K>,
+    mut waiting: Chunk<K>,
+    piece: Bytes,
+) -> (Lines<K>, Chunk<K>, Result<(), Problem>) {
+    let read = move || {
+        let read = lines.read(&piece, &mut waiting);
+        (lines, waiting, read)
+    };
+    if K::READS_AT_ONCE {
+        return read();
+    }
+    match tokio::task::spawn_blocking(read).await {
+        Ok(read) => read,
+        Err(error) => std::panic::resume_unwind(error.into_panic()),
+    }
+}
+
 /// Operations with the numbers of their lines.
-#[derive(Default)]
-struct Chunk {
-    operations: Vec<Op>,
+struct Chunk<K: Kind> {
+    operations: Vec<Op<K::Body>>,
+    /// What they count as, together.
+    weight: usize,
     lines: Vec<u64>,
     /// When the first came.
     since: Option<Instant>,
 }
 
+impl<K: Kind> Default for Chunk<K> {
+    fn default() -> Self {
+        Self {
+            operations: Vec::new(),
+            weight: 0,
+            lines: Vec::new(),
+            since: None,
+        }
+    }
+}
+
 /// What has come of a chunk.
-struct Committed {
+struct Committed<K: Kind> {
     counts: Counts,
     volume_removed: i128,
-    published: Option<Published>,
+    published: Option<Published<K>>,
     /// The line that could not be applied: those before it are, the rest is not.
     failed: Option<(u64, Problem)>,
 }
 
 /// Commits a chunk, or all of it before the operation that is refused. Waits while the queue is full.
-async fn commit(scene: &Arc<Scene>, settings: &Settings, chunk: Chunk) -> Committed {
+async fn commit<K: StreamedKind>(
+    scene: &Arc<SceneOf<K>>,
+    settings: &K::Settings,
+    chunk: Chunk<K>,
+) -> Committed<K> {
     let Chunk {
         operations, lines, ..
     } = chunk;
@@ -155,18 +251,18 @@ async fn commit(scene: &Arc<Scene>, settings: &Settings, chunk: Chunk) -> Commit
                     to = operations.len();
                 }
             }
-            Err(ServiceError::Rejected(rejected @ Rejected::IdConflict { index, .. })) => {
-                to = from + index;
-                refused = Some(conflict(rejected, settings, |_| "/insert".to_owned()));
-            }
-            // It is not said which cube was one too many: halve until one operation is left.
-            Err(ServiceError::Rejected(Rejected::TooManyCubes { .. })) if to - from > 1 => {
+            // It is not said which body was one too many: halve until one operation is left.
+            Err(
+                ServiceError::Rejected(Rejected::TooManyCubes { .. })
+                | ServiceError::RejectedSolids(solids::Rejected::TooManySolids { .. }),
+            ) if to - from > 1 => {
                 to = from + (to - from) / 2;
                 refused = None;
             }
             Err(error) => {
-                to = from;
-                refused = Some(error.into());
+                let (index, problem) = K::refused(&error, settings).unwrap_or((0, error.into()));
+                to = from + index;
+                refused = Some(problem);
             }
         }
     }
@@ -179,15 +275,24 @@ async fn commit(scene: &Arc<Scene>, settings: &Settings, chunk: Chunk) -> Commit
 }
 
 /// What has been committed of the stream so far.
-#[derive(Default)]
-struct Sums {
+struct Sums<K: Kind> {
     counts: Counts,
     volume_removed: i128,
-    published: Option<Published>,
+    published: Option<Published<K>>,
 }
 
-impl Sums {
-    fn applied(&mut self, applied: &Applied) {
+impl<K: Kind> Default for Sums<K> {
+    fn default() -> Self {
+        Self {
+            counts: Counts::default(),
+            volume_removed: 0,
+            published: None,
+        }
+    }
+}
+
+impl<K: StreamedKind> Sums<K> {
+    fn applied(&mut self, applied: &Applied<K>) {
         self.add(&Committed {
             counts: applied.counts,
             volume_removed: applied.volume_removed,
@@ -196,7 +301,7 @@ impl Sums {
         });
     }
 
-    fn add(&mut self, committed: &Committed) {
+    fn add(&mut self, committed: &Committed<K>) {
         self.counts.inserted += committed.counts.inserted;
         self.counts.deleted += committed.counts.deleted;
         self.counts.unchanged += committed.counts.unchanged;
@@ -205,7 +310,7 @@ impl Sums {
     }
 
     /// The problem that stopped the stream at `line`, with how far it came.
-    fn stopped(&self, scene: &Scene, line: u64, problem: Problem) -> Problem {
+    fn stopped(&self, scene: &SceneOf<K>, line: u64, problem: Problem) -> Problem {
         let newest = || scene.published().ok();
         let seq = self.published.or_else(newest);
         problem
@@ -217,48 +322,63 @@ impl Sums {
 }
 
 /// Cuts a body into lines.
-#[derive(Default)]
-struct Lines {
+struct Lines<K: StreamedKind> {
+    scene: Arc<SceneOf<K>>,
+    settings: Arc<K::Settings>,
     /// A line that has begun.
     begun: Vec<u8>,
     /// Lines that have ended.
     number: u64,
 }
 
-impl Lines {
+impl<K: StreamedKind> Lines<K> {
+    fn new(scene: &Arc<SceneOf<K>>, settings: &Arc<K::Settings>) -> Self {
+        Self {
+            scene: Arc::clone(scene),
+            settings: Arc::clone(settings),
+            begun: Vec::new(),
+            number: 0,
+        }
+    }
+
     /// Reads the lines that end in `piece`, and keeps what is left of it. At an error `number` counts the lines before the bad one.
-    fn read(&mut self, piece: &Bytes, settings: &Settings, to: &mut Chunk) -> Result<(), Problem> {
+    fn read(&mut self, piece: &Bytes, to: &mut Chunk<K>) -> Result<(), Problem> {
         let mut rest = &piece[..];
         while let Some(end) = rest.iter().position(|byte| *byte == b'\n') {
             let (line, after) = (&rest[..end], &rest[end + 1..]);
             if self.begun.is_empty() {
-                self.line(line, settings, to)?;
+                self.line(line, to)?;
             } else {
                 let mut begun = std::mem::take(&mut self.begun);
                 begun.extend_from_slice(line);
-                self.line(&begun, settings, to)?;
+                self.line(&begun, to)?;
             }
             rest = after;
         }
         self.begun.extend_from_slice(rest);
-        if self.begun.len() > LINE_BYTES_MAX {
-            return Err(long_line());
+        if self.begun.len() > K::LINE_BYTES_MAX {
+            return Err(long_line::<K>());
         }
         Ok(())
     }
 
     /// Reads the last line, which need not end.
-    fn finish(&mut self, settings: &Settings, to: &mut Chunk) -> Result<(), Problem> {
+    fn finish(&mut self, to: &mut Chunk<K>) -> Result<(), Problem> {
         let begun = std::mem::take(&mut self.begun);
-        self.line(&begun, settings, to)
+        self.line(&begun, to)
     }
 
-    fn line(&mut self, text: &[u8], settings: &Settings, to: &mut Chunk) -> Result<(), Problem> {
-        if text.len() > LINE_BYTES_MAX {
-            return Err(long_line());
+    fn line(&mut self, text: &[u8], to: &mut Chunk<K>) -> Result<(), Problem> {
+        if text.len() > K::LINE_BYTES_MAX {
+            return Err(long_line::<K>());
         }
         if !text.trim_ascii().is_empty() {
-            to.operations.push(decode::line(text, settings)?);
+            let operation = K::line(text, &self.scene, &self.settings)?;
+            to.weight += match &operation {
+                Op::Delete(_) => 1,
+                Op::Insert(_, body) => K::weight(body),
+            };
+            to.operations.push(operation);
             to.lines.push(self.number + 1);
             to.since.get_or_insert_with(Instant::now);
         }
@@ -267,7 +387,7 @@ impl Lines {
     }
 }
 
-fn long_line() -> Problem {
-    let detail = format!("the line is longer than {LINE_BYTES_MAX} bytes");
+fn long_line<K: StreamedKind>() -> Problem {
+    let detail = format!("the line is longer than {} bytes", K::LINE_BYTES_MAX);
     Problem::new(Code::TooLarge, detail)
 }

@@ -16,7 +16,7 @@ use utoipa::openapi::{
 use utoipa::{Modify, OpenApi};
 
 use super::problem::ProblemDocument;
-use super::{changes, cubes, history, operate, reads, scenes, solids};
+use super::{changes, contains, cubes, history, operate, reads, scenes, solids};
 use crate::wire::problem::{Code, Kind};
 
 #[derive(OpenApi)]
@@ -30,7 +30,7 @@ use crate::wire::problem::{Code, Kind};
         scenes::put_scene, scenes::get_scenes, scenes::get_scene, scenes::delete_scene,
         changes::post_changes, changes::post_revert, changes::delete_cube,
         reads::get_mass_properties, reads::stream_mass_properties, history::get_history, reads::post_audit,
-        cubes::get_cube, cubes::get_cubes, cubes::get_contains,
+        cubes::get_cube, cubes::get_cubes, contains::get_contains,
         solids::put_shape, solids::get_solid, solids::get_solids, solids::delete_solid,
         operate::get_healthz, operate::get_readyz, operate::get_metrics, get_openapi,
         operate::get_problems, operate::get_problem,
@@ -68,13 +68,21 @@ fn text() -> &'static str {
     })
 }
 
-/// Makes one object of every schema that has parts flattened into it.
+/// Makes one object of every schema that has parts flattened into it, and opens choices that need not exclude one another.
 ///
 /// Left as `allOf`, a part that is closed (`additionalProperties: false`, as bodies have it) would refuse the members of the whole.
 fn flatten_schemas(description: &mut Value) {
     let Some(schemas) = description.pointer_mut("/components/schemas") else {
         return;
     };
+    // What may be of either kind of scene may fit both: deletions alone do.
+    for (name, schema) in schemas.as_object_mut().into_iter().flatten() {
+        if let (true, Some(schema)) = (name.starts_with("Any"), schema.as_object_mut())
+            && let Some(choices) = schema.remove("oneOf")
+        {
+            schema.insert("anyOf".to_owned(), choices);
+        }
+    }
     let before = schemas.clone();
     for schema in schemas
         .as_object_mut()

@@ -106,6 +106,18 @@ impl Known {
         }
     }
 
+    /// Whether something is wanted: `true` or `false`, which is meant when it is left out.
+    pub(super) fn flag(&self, name: &'static str) -> Result<bool, Problem> {
+        match self.text(name) {
+            None | Some("false") => Ok(false),
+            Some("true") => Ok(true),
+            Some(other) => {
+                let detail = "is neither \"true\" nor \"false\"";
+                Err(Fault::in_parameter(name, detail, other).into())
+            }
+        }
+    }
+
     /// How ids are to be answered.
     pub(super) fn ids(&self) -> Result<IdForm, Problem> {
         match self.text("ids") {

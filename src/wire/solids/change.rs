@@ -12,10 +12,9 @@ use super::scale::Scale;
 use crate::engine::Op;
 use crate::engine::solids::Body;
 use crate::geometry::CubeId;
-use crate::geometry::convex::Point;
 use crate::service::{Motion, Operations, Shapes, Solids};
 use crate::wire::convert;
-use crate::wire::documents::{Id, IdForm};
+use crate::wire::documents::{Id, IdForm, LineOperation};
 use crate::wire::objects::{not_null, objects_only};
 use crate::wire::problem::{Fault, Faults};
 
@@ -49,7 +48,6 @@ impl SolidDocument {
         shapes: &Shapes,
         scale: Scale,
     ) -> Self {
-        let user = |point: Point| point.coordinates().map(|steps| scale.user(steps.into()));
         let mut shown = Self {
             id: Some(Id { id: *id, form }),
             shape: None,
@@ -61,14 +59,14 @@ impl SolidDocument {
         if let Some((shape, from, to)) = body.sweep() {
             shown.shape = shapes.of(shape).map(|named| named.name.clone());
             if from == to {
-                shown.at = Some(user(from));
+                shown.at = Some(scale.position(from));
             } else {
-                (shown.from, shown.to) = (Some(user(from)), Some(user(to)));
+                (shown.from, shown.to) = (Some(scale.position(from)), Some(scale.position(to)));
             }
         }
         shown.hull = body.hull().map(|hull| {
             let vertices = hull.vertices().iter();
-            vertices.map(|vertex| user(*vertex)).collect()
+            vertices.map(|vertex| scale.position(*vertex)).collect()
         });
         shown
     }
@@ -158,4 +156,32 @@ pub(in crate::wire) fn decoded(
             duration_ns: duration_ns.ok().flatten(),
         },
     })
+}
+
+/// Notes what is wrong with a line that can be read; none then, else its operation.
+pub(in crate::wire) fn operation(
+    line: &LineOperation<SolidDocument>,
+    shapes: &Shapes,
+    scale: Scale,
+    faults: &mut Faults,
+) -> Option<Op<Body>> {
+    let solid = match line {
+        LineOperation::Delete(id) => return Some(Op::Delete(id.id)),
+        LineOperation::Insert(solid) => solid,
+    };
+    if solid.id.is_none() && !faults.cover("/insert/id") {
+        let detail = "is missing: a line names its id, which makes a retry safe";
+        faults.push(Fault::at("/insert/id".to_owned(), detail, None));
+    }
+    let named = |name: &str| shapes.get(name).map(|named| &named.shape);
+    match body_of(solid, named, scale) {
+        Ok(body) => Some(Op::Insert(solid.id?.id, body)),
+        Err(fault) => {
+            let pointer = format!("/insert{}", fault.pointer);
+            if !faults.cover(&pointer) {
+                faults.push(Fault::at(pointer, fault.what, None));
+            }
+            None
+        }
+    }
 }

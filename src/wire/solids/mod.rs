@@ -18,8 +18,8 @@ mod shape;
 mod stl;
 
 pub use self::body::{Shapes, body};
-pub(in crate::wire) use self::change::decoded;
 pub use self::change::{DecodedSolids, SolidChange};
+pub(in crate::wire) use self::change::{decoded, operation};
 pub use self::documents::{
     BoxDocument, CornersDocument, CutterDocument, FitName, ShapeDocument, SolidDocument,
 };

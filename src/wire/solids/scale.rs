@@ -107,6 +107,11 @@ impl Scale {
         self.user(length.into()) / float(Deviation::STEP.into())
     }
 
+    /// A lattice point in user units.
+    pub fn position(self, point: Point) -> [f64; 3] {
+        point.coordinates().map(|steps| self.user(steps.into()))
+    }
+
     /// A length in user units.
     pub(super) fn user(self, steps: i128) -> f64 {
         float(steps) / f64::from(self.steps_per_unit)

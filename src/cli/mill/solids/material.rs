@@ -81,7 +81,7 @@ impl Material {
     /// How much of the material is in a body. Units: [`VOLUME_UNITS`].
     pub(super) fn inside(&mut self, body: Body) -> i128 {
         let effect = self.effect(body);
-        let totals = self.engine.dry_run(&effect).expect("the id is new");
+        let (totals, _) = self.engine.dry_run(&effect).expect("the id is new");
         totals.measures.volume6 - self.removed()
     }
 
