@@ -111,11 +111,12 @@ impl Wanted {
         taken: &[BodyType],
     ) -> Result<(BodyType, Option<Box<str>>), Problem> {
         let key = idempotency_key(headers)?;
-        // A stream is several changes, of which nobody knows what they would do.
-        let is_taken = |kind: &BodyType| self.run == Run::Real || *kind != BodyType::Ndjson;
-        let taken: Vec<BodyType> = taken.iter().copied().filter(is_taken).collect();
-        let kind = body_type(headers, &taken)?;
+        let kind = body_type(headers, taken)?;
         let detail = match (self.run, kind) {
+            (Run::Dry, BodyType::Ndjson) => {
+                let detail = "is not taken with a stream, which is several changes";
+                return Err(Fault::in_parameter("dry_run", detail, "true").into());
+            }
             (Run::Dry, _) => "is not taken with a dry run, of which nothing is kept",
             (Run::Real, BodyType::Ndjson) => {
                 "is not taken with a stream: its lines name their ids, which makes a retry safe"
