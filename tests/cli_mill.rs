@@ -953,6 +953,7 @@ macro_rules! serve {
             type WatchMassPropertiesStream = Streamed<proto::WatchMassPropertiesResponse>;
             type GetHistoryStream = Streamed<proto::GetHistoryResponse>;
             type ListCubesStream = Streamed<proto::ListCubesResponse>;
+            type ListSolidsStream = Streamed<proto::ListSolidsResponse>;
             $($served)*
             $(async fn $name(&self, _: Request<proto::$request>) -> Result<Response<$answer>, Status> {
                 Err(Status::unimplemented(stringify!($name)))
@@ -972,6 +973,9 @@ serve! {
         get_history(GetHistoryRequest) -> Self::GetHistoryStream;
         list_cubes(ListCubesRequest) -> Self::ListCubesStream;
         get_cube(GetCubeRequest) -> proto::GetCubeResponse;
+        define_shape(DefineShapeRequest) -> proto::DefineShapeResponse;
+        list_solids(ListSolidsRequest) -> Self::ListSolidsStream;
+        get_solid(GetSolidRequest) -> proto::GetSolidResponse;
         contains(ContainsRequest) -> proto::ContainsResponse;
         audit_scene(AuditSceneRequest) -> proto::AuditSceneResponse;
     }
@@ -996,6 +1000,7 @@ serve! {
         properties.exact.as_mut().unwrap().volume = breaking.volume();
         Ok(Response::new(proto::GetMassPropertiesResponse {
             mass_properties: Some(properties),
+            solid_mass_properties: None,
         }))
     }
 

@@ -754,6 +754,7 @@ async fn sixteen_clients_see_one_history() {
         let request = CreateSceneRequest {
             scene: scene.to_owned(),
             settings: Some(settings),
+            solids: None,
         };
         client.create_scene(request).await.unwrap();
     }

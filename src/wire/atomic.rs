@@ -8,17 +8,15 @@ use prost::Message;
 use super::calls::digest;
 use super::convert::Settings;
 use super::decode::{self, Decoded};
+use super::kind::ShownKind;
 use super::problem::{Code, Fault, Problem};
 use super::proto;
-use super::solids::DecodedSolids;
+use super::solids::SolidSettings;
 use crate::engine::{Rejected, solids};
-use crate::geometry::CubeId;
+use crate::geometry::{CubeId, Edge};
 use crate::service::{
-    Applied, Counting, Kind, Operations, Scene, ServiceError, SolidScene, Solids, Submission,
+    Applied, Counting, Cubes, Kind, Operations, SceneOf, ServiceError, Shapes, Solids, Submission,
 };
-
-/// What is larger is decoded on a thread that may take its time.
-const DECODED_INLINE_BYTES_MAX: usize = 64 << 10;
 
 /// A change as it was sent.
 pub(super) enum Sent {
@@ -27,7 +25,36 @@ pub(super) enum Sent {
     /// A body that is a message.
     Protobuf(Bytes),
     /// A message.
-    Message(proto::Change),
+    Message(Box<proto::Change>),
+}
+
+/// A kind of scene, as its changes are sent.
+pub(super) trait ChangedKind: ShownKind {
+    /// What is larger is decoded on a thread that may take its time.
+    const DECODED_INLINE_BYTES_MAX: usize;
+
+    /// Reads a change of at most so many operations.
+    fn decode(
+        sent: &Sent,
+        context: &Self::Context,
+        settings: &Self::Settings,
+        operations_max: usize,
+    ) -> Result<Decoded<Self>, Problem>;
+
+    /// Looks for what is wrong with a change by itself, where the engine refused an id. The engine cannot tell whether the scene has the id
+    /// with another body, or the change names two.
+    fn recheck(
+        sent: &Sent,
+        settings: &Self::Settings,
+        operations_max: usize,
+    ) -> Result<(), Problem>;
+
+    /// The index and the problem of an operation whose id the scene has with another body, or the error that it is.
+    fn conflict(
+        error: ServiceError,
+        settings: &Self::Settings,
+        pointer: impl Fn(usize) -> String,
+    ) -> Result<Problem, ServiceError>;
 }
 
 /// Whether a change is to be done.
@@ -48,48 +75,26 @@ impl Run {
     }
 }
 
-/// Applies an atomic change of solids; the answer means that it is durable.
-pub(super) async fn apply_solids(
-    scene: &SolidScene,
-    decoded: DecodedSolids,
-    run: Run,
-    key: Option<(Box<str>, [u8; 32])>,
-) -> Result<Applied<Solids>, Problem> {
-    let submission = Submission {
-        operations: run.of(decoded.operations),
-        counting: Counting::Net,
-        motion: decoded.motion,
-        key,
-    };
-    match scene.change(submission).await {
-        Err(ServiceError::RejectedSolids(solids::Rejected::IdConflict { index, id })) => {
-            let pointer = format!("/insert/{}", index.saturating_sub(decoded.deletions));
-            Err(conflict_of_solids(id, pointer))
-        }
-        answer => Ok(answer?),
-    }
-}
-
 /// An atomic change on its way.
-pub(super) struct Atomic {
-    pub(super) scene: Arc<Scene>,
-    pub(super) settings: Arc<Settings>,
+pub(super) struct Atomic<K: ChangedKind> {
+    pub(super) scene: Arc<SceneOf<K>>,
+    pub(super) settings: Arc<K::Settings>,
     sent: Sent,
-    cubes_max: usize,
+    operations_max: usize,
 }
 
-impl Atomic {
+impl<K: ChangedKind> Atomic<K> {
     pub(super) fn new(
-        scene: Arc<Scene>,
-        settings: Arc<Settings>,
+        scene: Arc<SceneOf<K>>,
+        settings: Arc<K::Settings>,
         sent: Sent,
-        cubes_max: usize,
+        operations_max: usize,
     ) -> Arc<Self> {
         Arc::new(Self {
             scene,
             settings,
             sent,
-            cubes_max,
+            operations_max,
         })
     }
 
@@ -98,7 +103,7 @@ impl Atomic {
         self: &Arc<Self>,
         run: Run,
         key: Option<Box<str>>,
-    ) -> Result<Applied, Problem> {
+    ) -> Result<Applied<K>, Problem> {
         let (mut submission, deletions) = self.submission(key).await?;
         submission.operations = run.of(submission.operations);
         let answer = self.scene.change(submission).await;
@@ -109,7 +114,7 @@ impl Atomic {
     pub(super) async fn submission(
         self: &Arc<Self>,
         key: Option<Box<str>>,
-    ) -> Result<(Submission, usize), Problem> {
+    ) -> Result<(Submission<K>, usize), Problem> {
         let (decoded, key) = self
             .off_thread(move |this| {
                 let decoded = this.decode()?;
@@ -128,40 +133,23 @@ impl Atomic {
     /// What came of it, said in the client's words.
     pub(super) async fn judged(
         self: &Arc<Self>,
-        answer: Result<Applied, ServiceError>,
+        answer: Result<Applied<K>, ServiceError>,
         deletions: usize,
-    ) -> Result<Applied, Problem> {
-        match answer {
-            Err(ServiceError::Rejected(rejected @ Rejected::IdConflict { .. })) => {
-                // Either the scene has the id elsewhere, or the change itself names two places. The engine cannot tell them apart.
-                self.off_thread(Self::duplicates).await?;
-                Err(conflict(rejected, &self.settings, |index| {
-                    self.pointer(index, deletions)
-                }))
-            }
-            answer => Ok(answer?),
-        }
+    ) -> Result<Applied<K>, Problem> {
+        let error = match answer {
+            Ok(applied) => return Ok(applied),
+            Err(error) => error,
+        };
+        let pointer = |index| self.pointer(index, deletions);
+        let conflict = K::conflict(error, &self.settings, pointer)?;
+        self.off_thread(|this| K::recheck(&this.sent, &this.settings, this.operations_max))
+            .await?;
+        Err(conflict)
     }
 
-    fn decode(&self) -> Result<Decoded, Problem> {
-        match &self.sent {
-            Sent::Json(body) => decode::change(body, &self.settings, self.cubes_max),
-            Sent::Protobuf(body) => decode::message(body, &self.settings, self.cubes_max),
-            Sent::Message(message) => {
-                decode::change_message(message, &self.settings, self.cubes_max)
-            }
-        }
-    }
-
-    /// An error when the change itself puts an id at two places.
-    fn duplicates(&self) -> Result<(), Problem> {
-        match &self.sent {
-            Sent::Json(body) => {
-                decode::change_faults(body, &self.settings, self.cubes_max).map(|_| ())
-            }
-            Sent::Protobuf(body) => decode::message_duplicates(body),
-            Sent::Message(message) => decode::change_message_duplicates(message),
-        }
+    fn decode(&self) -> Result<Decoded<K>, Problem> {
+        let context = self.scene.context()?;
+        K::decode(&self.sent, &context, &self.settings, self.operations_max)
     }
 
     /// What an idempotency key stands for. A message counts as the body that it would be.
@@ -194,7 +182,7 @@ impl Atomic {
         self: &Arc<Self>,
         work: impl FnOnce(&Self) -> Result<T, Problem> + Send + 'static,
     ) -> Result<T, Problem> {
-        if self.size_bytes() <= DECODED_INLINE_BYTES_MAX {
+        if self.size_bytes() <= K::DECODED_INLINE_BYTES_MAX {
             return work(self);
         }
         let this = Arc::clone(self);
@@ -202,6 +190,80 @@ impl Atomic {
             Ok(done) => done,
             Err(error) => std::panic::resume_unwind(error.into_panic()),
         }
+    }
+}
+
+impl ChangedKind for Cubes {
+    const DECODED_INLINE_BYTES_MAX: usize = 64 << 10;
+
+    fn decode(
+        sent: &Sent,
+        _: &Edge,
+        settings: &Settings,
+        cubes_max: usize,
+    ) -> Result<Decoded, Problem> {
+        match sent {
+            Sent::Json(body) => decode::change(body, settings, cubes_max),
+            Sent::Protobuf(body) => decode::message(body, settings, cubes_max),
+            Sent::Message(message) => decode::change_message(message, settings, cubes_max),
+        }
+    }
+
+    fn recheck(sent: &Sent, settings: &Settings, cubes_max: usize) -> Result<(), Problem> {
+        match sent {
+            Sent::Json(body) => decode::change_faults(body, settings, cubes_max).map(|_| ()),
+            Sent::Protobuf(body) => decode::message_duplicates(body),
+            Sent::Message(message) => decode::change_message_duplicates(message),
+        }
+    }
+
+    fn conflict(
+        error: ServiceError,
+        settings: &Settings,
+        pointer: impl Fn(usize) -> String,
+    ) -> Result<Problem, ServiceError> {
+        match error {
+            ServiceError::Rejected(rejected @ Rejected::IdConflict { .. }) => {
+                Ok(conflict(rejected, settings, pointer))
+            }
+            error => Err(error),
+        }
+    }
+}
+
+impl ChangedKind for Solids {
+    /// Hulls take their time.
+    const DECODED_INLINE_BYTES_MAX: usize = 4 << 10;
+
+    fn decode(
+        sent: &Sent,
+        shapes: &Shapes,
+        settings: &SolidSettings,
+        solids_max: usize,
+    ) -> Result<Decoded<Self>, Problem> {
+        let scale = settings.scale();
+        match sent {
+            Sent::Json(body) => decode::solid_change(body, shapes, scale, solids_max),
+            Sent::Protobuf(body) => decode::solid_message(body, shapes, solids_max),
+            Sent::Message(message) => decode::solid_change_message(message, shapes, solids_max),
+        }
+    }
+
+    /// Nothing: decoding has looked.
+    fn recheck(_: &Sent, _: &SolidSettings, _: usize) -> Result<(), Problem> {
+        Ok(())
+    }
+
+    fn conflict(
+        error: ServiceError,
+        _: &SolidSettings,
+        pointer: impl Fn(usize) -> String,
+    ) -> Result<Problem, ServiceError> {
+        let (index, id) = match error {
+            ServiceError::RejectedSolids(solids::Rejected::IdConflict { index, id }) => (index, id),
+            error => return Err(error),
+        };
+        Ok(conflict_of_solids(id, pointer(index)))
     }
 }
 

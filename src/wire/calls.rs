@@ -10,12 +10,13 @@ use sha2::{Digest, Sha256};
 use super::convert::Settings;
 use super::kind::{HistoryTotals, Opened, ShownKind};
 use super::problem::{Code, Fault, Problem};
-use super::solids::{NewSolids, Scale, SolidSettings};
+use super::solids::{DefinedShape, NewSolids, Scale, SolidSettings};
+use crate::engine::solids::Body;
 use crate::geometry::convex::Point;
 use crate::geometry::{CubeId, Place};
 use crate::service::{
-    AnyScene, Applied, Counting, Cubes, HistoryRow, Motion, Operations, Published, Scene,
-    SceneKind, SceneName, SceneOf, Seq, Service, ServiceError, SolidScene, Submission,
+    AnyScene, Applied, Counting, Cubes, HistoryRow, Motion, NamedShape, Operations, Published,
+    Scene, SceneKind, SceneName, SceneOf, Seq, Service, ServiceError, SolidScene, Submission,
 };
 
 /// The settings that a scene was given when it was created, read once in its life; none when they are in a form that is not known.
@@ -100,6 +101,30 @@ pub(super) async fn create_solids(
     } = wanted;
     let text = settings.text();
     Ok(service.create_solids(name, *stock, shapes, &text).await?)
+}
+
+/// Defines a shape of a scene: the shape as it is there then.
+pub(super) async fn define(scene: &SolidScene, shape: NamedShape) -> Result<DefinedShape, Problem> {
+    let submission = Submission {
+        operations: Operations::Define(shape.definition()),
+        counting: Counting::Net,
+        motion: Motion::default(),
+        key: None,
+    };
+    scene.change(submission).await?;
+    let shapes = scene.context()?;
+    let defined = shapes.get(&shape.name).and_then(DefinedShape::of);
+    defined.ok_or_else(|| Problem::new(Code::Internal, "the shape is kept in an unknown form"))
+}
+
+/// A solid by its id.
+pub(super) async fn solid(scene: &SolidScene, id: CubeId) -> Result<Body, Problem> {
+    let found = scene.body(id).await?;
+    found.ok_or_else(|| {
+        let name = scene.name().as_str();
+        let detail = format!("there is no solid {} in scene {name:?}", id.0);
+        Problem::new(Code::NoSuchCube, detail)
+    })
 }
 
 /// Drops a scene with its data.

@@ -66,16 +66,16 @@ pub(super) enum Properties {
 #[derive(Serialize, ToSchema)]
 pub(super) struct SolidSceneProperties {
     #[serde(flatten)]
-    measured: SolidProperties,
+    pub(super) measured: SolidProperties,
     /// What the solids have in common with the stock: the same measures once more, under the name that they have in a scene of cubes. Left
     /// out where there is no stock.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
-    removed: Option<SolidMeasures>,
+    pub(super) removed: Option<SolidMeasures>,
     /// The stock outside the solids; left out where there is no stock.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
-    remaining: Option<SolidMeasures>,
+    pub(super) remaining: Option<SolidMeasures>,
 }
 
 /// A change of the past.

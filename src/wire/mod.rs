@@ -12,6 +12,7 @@ mod atomic;
 mod calls;
 pub mod convert;
 pub mod decode;
+mod decoded;
 pub mod documents;
 pub mod grpc;
 pub mod http;

@@ -69,6 +69,7 @@ async fn scenes_come_and_go_as_over_http() {
             anchor: Anchor::Center.into(),
             ..SceneSettings::default()
         }),
+        solids: None,
     };
     let made = client.create_scene(wanted(6.0)).await.unwrap().into_inner();
     assert!(made.created);
@@ -455,6 +456,7 @@ async fn a_stock_is_cut_move_by_move() {
     let create = |settings| CreateSceneRequest {
         scene: "block".to_owned(),
         settings: Some(settings),
+        solids: None,
     };
     let mut wrong = settings.clone();
     wrong.stock.as_mut().unwrap().max = corner(100.0, 0.0, 0.0);

@@ -4,6 +4,7 @@ mod calls;
 mod operation;
 mod refusals;
 mod server;
+mod solids;
 #[path = "../oracle/stop.rs"]
 mod stop;
 mod streams;

@@ -21,6 +21,7 @@ async fn settings_are_refused_field_by_field() {
         let request = CreateSceneRequest {
             scene: scene.to_owned(),
             settings: Some(settings),
+            solids: None,
         };
         server.client().create_scene(request).await.unwrap_err()
     };

@@ -105,6 +105,7 @@ impl Server {
         let request = CreateSceneRequest {
             scene: name.to_owned(),
             settings: Some(settings),
+            solids: None,
         };
         let created = self.client().create_scene(request).await.unwrap();
         assert!(created.into_inner().created);

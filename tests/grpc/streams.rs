@@ -21,7 +21,7 @@ use crate::server::{
 };
 use crate::stop::Stop;
 
-fn opening(scene: &str, on_refusal: OnRefusal, detail: i32) -> StreamChangesRequest {
+pub(crate) fn opening(scene: &str, on_refusal: OnRefusal, detail: i32) -> StreamChangesRequest {
     message(request::Message::Opening(StreamOpening {
         scene: scene.to_owned(),
         detail,
@@ -35,7 +35,7 @@ fn message(message: request::Message) -> StreamChangesRequest {
     }
 }
 
-fn tagged(tag: u64, change: Change) -> StreamChangesRequest {
+pub(crate) fn tagged(tag: u64, change: Change) -> StreamChangesRequest {
     message(request::Message::Change(StreamedChange {
         tag,
         change: Some(change),
@@ -43,7 +43,7 @@ fn tagged(tag: u64, change: Change) -> StreamChangesRequest {
     }))
 }
 
-async fn stream(
+pub(crate) async fn stream(
     client: &mut Client,
     messages: impl Stream<Item = StreamChangesRequest> + Send + 'static,
 ) -> Streaming<StreamChangesResponse> {
@@ -59,14 +59,14 @@ async fn next(
     answer.map(|answer| answer.map(|answer| answer.message.unwrap()))
 }
 
-async fn opened(answers: &mut Streaming<StreamChangesResponse>) -> Opened {
+pub(crate) async fn opened(answers: &mut Streaming<StreamChangesResponse>) -> Opened {
     match next(answers).await {
         Some(Ok(response::Message::Opened(opened))) => opened,
         other => panic!("{other:?}"),
     }
 }
 
-async fn acknowledged(answers: &mut Streaming<StreamChangesResponse>) -> Acknowledged {
+pub(crate) async fn acknowledged(answers: &mut Streaming<StreamChangesResponse>) -> Acknowledged {
     match next(answers).await {
         Some(Ok(response::Message::Acknowledged(acknowledged))) => acknowledged,
         other => panic!("{other:?}"),

@@ -134,6 +134,7 @@ impl GrpcStream {
         let create = CreateSceneRequest {
             scene: wanted.name.clone(),
             settings: Some(settings),
+            solids: None,
         };
         client.create_scene(create).await.map_err(refused)?;
         let properties = client

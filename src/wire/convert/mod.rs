@@ -15,9 +15,7 @@ pub use self::mass_properties::{
     EdgeLength, Exact, ExactEdgeLength, IntegerMeasures, MassProperties, PartProperties,
     UserBounds, UserMeasures, Vertices, mass_properties,
 };
-pub use self::motion::{
-    DURATION_SECONDS_MAX, Removal, duration_ns, duration_user, removal, removal_rate,
-};
+pub use self::motion::{DURATION_SECONDS_MAX, duration_ns, duration_user, removal_rate};
 pub(in crate::wire) use self::numbers::{OFF_LATTICE_MAX, float, nearest, whole};
 pub use self::settings::{Anchor, Rounding, Settings};
 pub use self::units::InvalidCoordinate;

@@ -2,8 +2,6 @@
 
 use std::time::Duration;
 
-use super::settings::Settings;
-
 /// Longest machine time of a change. Units: seconds.
 pub const DURATION_SECONDS_MAX: f64 = 1e9;
 
@@ -28,29 +26,4 @@ pub fn removal_rate(volume_removed: f64, duration: Option<f64>) -> Option<f64> {
 /// Seconds of so many nanoseconds.
 pub fn duration_user(nanoseconds: u64) -> f64 {
     Duration::from_nanos(nanoseconds).as_secs_f64()
-}
-
-/// What a change took away, and how fast.
-#[derive(Clone, PartialEq, Debug)]
-pub struct Removal {
-    /// Machine time, in seconds; none when none was given.
-    pub duration: Option<f64>,
-    /// Volume removed from the stock, or added to the union where there is no stock, in user units cubed.
-    pub volume: f64,
-    /// The same in steps cubed, exact.
-    pub exact: String,
-    /// Volume removed in a second of machine time; none without a duration above 0.
-    pub rate: Option<f64>,
-}
-
-/// What a change took away, in `duration_ns` of machine time and steps cubed.
-pub fn removal(duration_ns: Option<u64>, steps3: i128, settings: &Settings) -> Removal {
-    let duration = duration_ns.map(duration_user);
-    let volume = settings.volume_user(steps3);
-    Removal {
-        duration,
-        volume,
-        exact: steps3.to_string(),
-        rate: removal_rate(volume, duration),
-    }
 }

@@ -32,15 +32,11 @@ pub fn change_message(
         return Err(too_many(cubes_max));
     }
     let mut faults = Faults::default();
-    for (name, len) in [("y", message.y.len()), ("z", message.z.len())] {
-        if len != count {
-            faults.push(Fault::at(
-                format!("/{name}"),
-                format!("has {len} values, x has {count}"),
-                None,
-            ));
-        }
-    }
+    same_length(
+        message,
+        [("y", message.y.len()), ("z", message.z.len())],
+        &mut faults,
+    );
     if !message.insert_id.is_empty() && message.insert_id.len() != count {
         faults.push(Fault::at(
             "/insert_id".to_owned(),
@@ -51,20 +47,23 @@ pub fn change_message(
             None,
         ));
     }
+    for (name, len) in [
+        ("shapes", message.shapes.len()),
+        ("shape", message.shape.len()),
+        ("to_x", message.to_x.len()),
+        ("to_y", message.to_y.len()),
+        ("to_z", message.to_z.len()),
+        ("hulls", message.hulls.len()),
+    ] {
+        if len > 0 {
+            let detail = format!("has {len} values, and the scene is one of cubes");
+            faults.push(Fault::at(format!("/{name}"), detail, None));
+        }
+    }
     if !faults.is_empty() {
         return Err(faults.into_problem());
     }
-    let mut motion = Motion {
-        number: message.r#move,
-        duration_ns: None,
-    };
-    match message.duration.map(convert::duration_ns).transpose() {
-        Ok(duration) => motion.duration_ns = duration,
-        Err(detail) => faults.push(Fault {
-            value: message.duration.map(Into::into),
-            ..Fault::at("/duration".to_owned(), detail, None)
-        }),
-    }
+    let motion = motion(message, &mut faults);
     let mut places = Vec::with_capacity(count);
     for index in 0..count {
         let corner = [message.x[index], message.y[index], message.z[index]];
@@ -100,6 +99,37 @@ pub fn change_message(
     })
 }
 
+/// Notes columns that are not as long as that of x.
+pub(super) fn same_length<const N: usize>(
+    message: &proto::Change,
+    columns: [(&str, usize); N],
+    faults: &mut Faults,
+) {
+    let count = message.x.len();
+    for (name, len) in columns {
+        if len != count {
+            let detail = format!("has {len} values, x has {count}");
+            faults.push(Fault::at(format!("/{name}"), detail, None));
+        }
+    }
+}
+
+/// What the change belongs to.
+pub(super) fn motion(message: &proto::Change, faults: &mut Faults) -> Motion {
+    let mut motion = Motion {
+        number: message.r#move,
+        duration_ns: None,
+    };
+    match message.duration.map(convert::duration_ns).transpose() {
+        Ok(duration) => motion.duration_ns = duration,
+        Err(detail) => faults.push(Fault {
+            value: message.duration.map(Into::into),
+            ..Fault::at("/duration".to_owned(), detail, None)
+        }),
+    }
+    motion
+}
+
 /// Looks for ids that stand at two places of a message.
 /// # Errors
 /// [`Code::Invalid`] with all of them.
@@ -133,7 +163,7 @@ pub fn message_duplicates(body: &[u8]) -> Result<(), Problem> {
     change_message_duplicates(&decoded(body)?)
 }
 
-fn decoded(body: &[u8]) -> Result<proto::Change, Problem> {
+pub(super) fn decoded(body: &[u8]) -> Result<proto::Change, Problem> {
     proto::Change::decode(body).map_err(|error| Problem::new(Code::BadProtobuf, error.to_string()))
 }
 

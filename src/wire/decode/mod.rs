@@ -4,6 +4,7 @@ mod change;
 mod json;
 mod message;
 mod recover;
+mod solid_message;
 #[cfg(test)]
 mod tests;
 
@@ -15,27 +16,17 @@ pub use self::change::{change, change_faults, file_line, line};
 pub use self::message::{
     change_message, change_message_duplicates, message, message_duplicates, settings_message,
 };
+pub use self::solid_message::{solid_change_message, solid_message};
 use super::convert::{InvalidSetting, KindName, Settings, SettingsDocument};
+pub use super::decoded::Decoded;
 use super::documents::{LineOperation, Revert};
 use super::problem::{Code, Fault, Faults, Problem};
 use super::solids::{
-    self, DecodedSolids, NewSolids, Scale, ShapeDocument, SolidChange, SolidDocument,
-    SolidSettingsDocument,
+    self, NewSolids, Scale, ShapeDocument, SolidChange, SolidDocument, SolidSettingsDocument,
 };
 use crate::engine::Op;
 use crate::engine::solids::Body;
-use crate::service::{Motion, NamedShape, Operations, Seq, Shapes};
-
-/// A decoded atomic change.
-#[derive(Debug)]
-pub struct Decoded {
-    /// What to do: the deletions first.
-    pub operations: Operations,
-    /// How many of the operations are deletions.
-    pub deletions: usize,
-    /// What the change belongs to.
-    pub motion: Motion,
-}
+use crate::service::{NamedShape, Seq, Shapes, Solids};
 
 /// Whether settings are of a scene of solids; they are of cubes when they do not say.
 pub(super) fn is_of_solids(body: &[u8]) -> bool {
@@ -55,8 +46,18 @@ pub(super) fn solid_settings(body: &[u8]) -> Result<NewSolids, Problem> {
     json::read(body, |wanted: &SolidSettingsDocument, faults| {
         new.replace(solids::check(wanted, faults));
     })?;
-    new.into_inner()
-        .ok_or_else(|| Problem::new(Code::Internal, "settings have neither faults nor meaning"))
+    sound(new.into_inner(), Faults::default())
+}
+
+/// The settings of a scene of solids in a document that had these faults already.
+/// # Errors
+/// [`Code::Invalid`] with every fault.
+pub(super) fn solid_settings_document(
+    wanted: &SolidSettingsDocument,
+    mut faults: Faults,
+) -> Result<NewSolids, Problem> {
+    let new = solids::check(wanted, &mut faults);
+    sound(new, faults)
 }
 
 /// Reads a shape of a scene of solids.
@@ -64,21 +65,53 @@ pub(super) fn solid_settings(body: &[u8]) -> Result<NewSolids, Problem> {
 /// [`Code::BadJson`], or [`Code::Invalid`] with every fault.
 pub(super) fn shape(body: &[u8], name: &str, scale: Scale) -> Result<NamedShape, Problem> {
     let shape = RefCell::new(None);
-    json::read(
-        body,
-        |document: &ShapeDocument, faults| match solids::named_shape(name, document, scale) {
-            Ok(named) => {
-                shape.replace(Some(named));
-            }
-            Err((pointer, detail)) if !faults.cover(&pointer) => {
-                faults.push(Fault::at(pointer, detail, None));
-            }
-            Err(_) => {}
-        },
-    )?;
-    shape
-        .into_inner()
-        .ok_or_else(|| Problem::new(Code::Internal, "a shape has neither faults nor meaning"))
+    json::read(body, |document: &ShapeDocument, faults| {
+        shape.replace(named_shape(document, name, scale, faults));
+    })?;
+    sound(shape.into_inner(), Faults::default())
+}
+
+/// The shape of a document that had these faults already.
+/// # Errors
+/// [`Code::Invalid`] with every fault.
+pub(super) fn shape_document(
+    document: Option<&ShapeDocument>,
+    name: &str,
+    scale: Scale,
+    mut faults: Faults,
+) -> Result<NamedShape, Problem> {
+    let shape = document.and_then(|document| named_shape(document, name, scale, &mut faults));
+    sound(shape, faults)
+}
+
+/// The shape, or none and why.
+fn named_shape(
+    document: &ShapeDocument,
+    name: &str,
+    scale: Scale,
+    faults: &mut Faults,
+) -> Option<NamedShape> {
+    match solids::named_shape(name, document, scale) {
+        Ok(named) => return Some(named),
+        Err((pointer, detail)) if !faults.cover(&pointer) => {
+            faults.push(Fault::at(pointer, detail, None));
+        }
+        Err(_) => {}
+    }
+    None
+}
+
+/// What was read, when there is no fault.
+fn sound<T>(read: Option<T>, faults: Faults) -> Result<T, Problem> {
+    if !faults.is_empty() {
+        return Err(faults.into_problem());
+    }
+    read.ok_or_else(|| {
+        Problem::new(
+            Code::Internal,
+            "what was read has neither faults nor meaning",
+        )
+    })
 }
 
 /// Reads an atomic change of solids.
@@ -89,7 +122,7 @@ pub(super) fn solid_change(
     shapes: &Shapes,
     scale: Scale,
     solids_max: usize,
-) -> Result<DecodedSolids, Problem> {
+) -> Result<Decoded<Solids>, Problem> {
     let (decoded, named) = (RefCell::new(None), Cell::new(0));
     json::read(body, |change: &SolidChange, faults| {
         named.set(change.delete.len() + change.insert.len());
@@ -100,9 +133,7 @@ pub(super) fn solid_change(
     if named.get() > solids_max {
         return Err(too_many(solids_max));
     }
-    decoded
-        .into_inner()
-        .ok_or_else(|| Problem::new(Code::Internal, "a change has neither faults nor meaning"))
+    sound(decoded.into_inner(), Faults::default())
 }
 
 /// Reads one line of a stream of solids: `{"insert":{"id":1,"shape":"t1","from":[..],"to":[..]}}` or `{"delete":1}`.
@@ -113,9 +144,7 @@ pub(super) fn solid_line(text: &[u8], shapes: &Shapes, scale: Scale) -> Result<O
     json::read_line(text, |line: &LineOperation<SolidDocument>, faults| {
         operation.replace(solids::operation(line, shapes, scale, faults));
     })?;
-    operation
-        .into_inner()
-        .ok_or_else(|| Problem::new(Code::Internal, "a line has neither faults nor meaning"))
+    sound(operation.into_inner(), Faults::default())
 }
 
 /// Reads the settings of a scene.

@@ -4,6 +4,7 @@ use super::*;
 use crate::engine::Op;
 use crate::geometry::CubeId;
 use crate::random::Random;
+use crate::service::Operations;
 use crate::wire::convert::Rounding;
 use crate::wire::proto;
 use axum::response::IntoResponse;

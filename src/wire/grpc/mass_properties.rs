@@ -23,6 +23,28 @@ impl From<proto::Vector> for [f64; 3] {
     }
 }
 
+impl From<[[f64; 3]; 3]> for proto::InertiaTensor {
+    fn from([[xx, xy, zx], [_, yy, yz], [_, _, zz]]: [[f64; 3]; 3]) -> Self {
+        Self {
+            xx,
+            yy,
+            zz,
+            xy,
+            yz,
+            zx,
+        }
+    }
+}
+
+impl From<UserBounds> for proto::Box {
+    fn from(UserBounds { min, max }: UserBounds) -> Self {
+        Self {
+            min: Some(min.into()),
+            max: Some(max.into()),
+        }
+    }
+}
+
 impl From<MassProperties> for proto::MassProperties {
     fn from(properties: MassProperties) -> Self {
         let MassProperties {
@@ -47,10 +69,7 @@ impl From<MassProperties> for proto::MassProperties {
             mean_curvature: union.mean_curvature,
             centroid: union.centroid,
             inertia: union.inertia,
-            bounds: bounds.map(|UserBounds { min, max }| proto::Box {
-                min: Some(min.into()),
-                max: Some(max.into()),
-            }),
+            bounds: bounds.map(Into::into),
             euler_characteristic: union.euler_characteristic,
             vertices: union.vertices,
             exact: union.exact,
@@ -106,7 +125,6 @@ impl From<PartProperties> for proto::PartProperties {
             concave,
             crossing,
         } = user.edge_length;
-        let [[xx, xy, zx], [_, yy, yz], [_, _, zz]] = user.inertia;
         let vertices = integers.vertices;
         Self {
             volume: user.volume,
@@ -120,14 +138,7 @@ impl From<PartProperties> for proto::PartProperties {
             mass: user.mass,
             mean_curvature: user.mean_curvature,
             centroid: user.centroid.map(Into::into),
-            inertia: Some(proto::InertiaTensor {
-                xx,
-                yy,
-                zz,
-                xy,
-                yz,
-                zx,
-            }),
+            inertia: Some(user.inertia.into()),
             euler_characteristic: integers.euler_characteristic,
             vertices: Some(proto::Vertices {
                 total: vertices.total,

@@ -89,7 +89,7 @@ impl Drop for Call {
 
 /// The name of a call: any path can be sent, but only known ones make a series.
 fn method(path: &str) -> &'static str {
-    const KNOWN: [&str; 14] = [
+    const KNOWN: [&str; 17] = [
         "CreateScene",
         "GetScene",
         "ListScenes",
@@ -102,6 +102,9 @@ fn method(path: &str) -> &'static str {
         "GetHistory",
         "ListCubes",
         "GetCube",
+        "DefineShape",
+        "ListSolids",
+        "GetSolid",
         "Contains",
         "AuditScene",
     ];

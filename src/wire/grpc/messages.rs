@@ -1,12 +1,103 @@
 //! What is answered, as messages. The values are those of the JSON: they are made in `convert` alone.
 
+use std::sync::Arc;
+
 use crate::engine::Side;
-use crate::geometry::{CubeId, Place};
-use crate::service::{AnyScene, Applied, HistoryRow, Published, Scene, SceneState};
+use crate::geometry::{self, CubeId, Place};
+use crate::service::{
+    AnyScene, Applied, Cubes, HistoryRow, Published, Scene, SceneOf, SceneState, SolidScene,
+    SolidTotals, Solids,
+};
+use crate::wire::atomic::ChangedKind;
 use crate::wire::calls;
-use crate::wire::convert::{self, Anchor, Rounding, Settings};
+use crate::wire::convert::{self, Anchor, MassProperties, Rounding, Settings};
+use crate::wire::kind::{ShownKind, SolidSceneProperties};
 use crate::wire::problem::{Fault, Problem};
 use crate::wire::proto;
+use crate::wire::solids::{SolidSettings, solid_area};
+
+/// A kind of scene, as messages show it.
+pub(super) trait MessageKind: ChangedKind {
+    /// A scene of this kind as one of any.
+    fn any(scene: Arc<SceneOf<Self>>) -> AnyScene;
+
+    /// Volumes and area of totals.
+    fn volumes(totals: &Self::Totals, settings: &Self::Settings) -> proto::Volumes;
+
+    /// Mass properties, in the field that they have in answers.
+    fn message(properties: Self::Properties) -> Shown;
+}
+
+/// The mass properties of a scene of either kind, each in its field.
+#[derive(Default)]
+pub(super) struct Shown {
+    pub(super) cubes: Option<proto::MassProperties>,
+    pub(super) solids: Option<proto::SolidMassProperties>,
+}
+
+impl MessageKind for Cubes {
+    fn any(scene: Arc<Scene>) -> AnyScene {
+        AnyScene::Cubes(scene)
+    }
+
+    fn volumes(totals: &geometry::Totals, settings: &Settings) -> proto::Volumes {
+        let stock = totals.stock.as_ref();
+        let (union, area) = (totals.measures.volume, totals.measures.area());
+        let [removed, remaining] = [
+            stock.map(|stock| stock.removed.volume),
+            stock.map(|stock| stock.remaining.volume),
+        ];
+        let user = |steps3: i128| settings.volume_user(steps3);
+        proto::Volumes {
+            union: user(union),
+            removed: removed.map(user),
+            remaining: remaining.map(user),
+            area: settings.area_user(area),
+            exact_union: union.to_string(),
+            exact_removed: removed.map(|steps3| steps3.to_string()),
+            exact_remaining: remaining.map(|steps3| steps3.to_string()),
+            exact_area: area.to_string(),
+        }
+    }
+
+    fn message(properties: MassProperties) -> Shown {
+        Shown {
+            cubes: Some(properties.into()),
+            solids: None,
+        }
+    }
+}
+
+impl MessageKind for Solids {
+    fn any(scene: Arc<SolidScene>) -> AnyScene {
+        AnyScene::Solids(scene)
+    }
+
+    /// With a stock all of the union is removed from it.
+    fn volumes(totals: &SolidTotals, settings: &SolidSettings) -> proto::Volumes {
+        let union = &totals.union.measures;
+        let remaining = totals.union.remaining.map(|rest| rest.volume6);
+        let removed = remaining.map(|_| union.volume6);
+        let user = |volume: i128| Self::volume_user(volume, settings);
+        proto::Volumes {
+            union: user(union.volume6),
+            removed: removed.map(user),
+            remaining: remaining.map(user),
+            area: solid_area(union.area2, settings.scale()),
+            exact_union: union.volume6.to_string(),
+            exact_removed: removed.map(|volume| volume.to_string()),
+            exact_remaining: remaining.map(|volume| volume.to_string()),
+            exact_area: union.area2.to_string(),
+        }
+    }
+
+    fn message(properties: SolidSceneProperties) -> Shown {
+        Shown {
+            cubes: None,
+            solids: Some(properties.into()),
+        }
+    }
+}
 
 /// How much is answered of the totals.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -39,6 +130,8 @@ pub(super) fn unknown(field: &'static str, sent: i32) -> Problem {
 
 pub(super) fn scene(scene: &AnyScene) -> proto::Scene {
     let newest = scene.newest();
+    let bodies = newest.map(|(_, bodies)| bodies);
+    let holds_solids = matches!(scene, AnyScene::Solids(_));
     let (state, percent, cause) = match scene.state() {
         SceneState::Running => (proto::SceneState::Running, None, None),
         SceneState::Recovering { percent } => {
@@ -53,7 +146,15 @@ pub(super) fn scene(scene: &AnyScene) -> proto::Scene {
             AnyScene::Cubes(scene) => calls::settings(scene).map(|known| settings(&known)),
             AnyScene::Solids(_) => None,
         },
-        cubes: newest.map(|(_, cubes)| cubes),
+        solid_settings: match scene {
+            AnyScene::Cubes(_) => None,
+            AnyScene::Solids(scene) => calls::settings(scene).map(|known| {
+                let shapes = scene.context().ok();
+                known.shown(shapes.as_deref()).into()
+            }),
+        },
+        cubes: bodies.filter(|_| !holds_solids),
+        solids: bodies.filter(|_| holds_solids),
         seq: newest.map(|(seq, _)| seq.0),
         incarnation: calls::incarnation(scene.incarnation()),
         state: state.into(),
@@ -87,46 +188,29 @@ fn settings(settings: &Settings) -> proto::SceneSettings {
 }
 
 /// The totals, as much as is wanted of them.
-pub(super) fn totals(
+pub(super) fn totals<K: MessageKind>(
     wanted: Detail,
-    scene: &Scene,
-    settings: &Settings,
-    published: &Published,
-) -> (Option<proto::Volumes>, Option<proto::MassProperties>) {
+    scene: &SceneOf<K>,
+    settings: &K::Settings,
+    published: &Published<K>,
+) -> (Option<proto::Volumes>, Shown) {
     match wanted {
-        Detail::None => (None, None),
+        Detail::None => (None, Shown::default()),
         Detail::Volume => {
-            let totals = &published.totals;
-            let stock = totals.stock.as_ref();
-            let (union, area) = (totals.measures.volume, totals.measures.area());
-            let [removed, remaining] = [
-                stock.map(|stock| stock.removed.volume),
-                stock.map(|stock| stock.remaining.volume),
-            ];
-            let user = |steps3: i128| settings.volume_user(steps3);
-            let volumes = proto::Volumes {
-                union: user(union),
-                removed: removed.map(user),
-                remaining: remaining.map(user),
-                area: settings.area_user(area),
-                exact_union: union.to_string(),
-                exact_removed: removed.map(|steps3| steps3.to_string()),
-                exact_remaining: remaining.map(|steps3| steps3.to_string()),
-                exact_area: area.to_string(),
-            };
-            (Some(volumes), None)
+            let volumes = K::volumes(&published.totals, settings);
+            (Some(volumes), Shown::default())
         }
-        Detail::Full => (None, Some(mass_properties(scene, settings, published))),
+        Detail::Full => (None, mass_properties(scene, settings, published)),
     }
 }
 
-pub(super) fn outcome(
+pub(super) fn outcome<K: MessageKind>(
     wanted: Detail,
-    scene: &Scene,
-    settings: &Settings,
-    applied: &Applied,
+    scene: &SceneOf<K>,
+    settings: &K::Settings,
+    applied: &Applied<K>,
 ) -> proto::Outcome {
-    let (volumes, mass_properties) = totals(wanted, scene, settings, &applied.published);
+    let (volumes, shown) = totals(wanted, scene, settings, &applied.published);
     proto::Outcome {
         seq: applied.published.seq.0,
         inserted: applied.counts.inserted,
@@ -137,21 +221,22 @@ pub(super) fn outcome(
             last: last.0,
         }),
         replayed: applied.replayed,
-        volume_removed: settings.volume_user(applied.volume_removed),
+        volume_removed: K::volume_user(applied.volume_removed, settings),
         volume_removed_exact: applied.volume_removed.to_string(),
         volumes,
-        mass_properties,
+        mass_properties: shown.cubes,
+        solid_mass_properties: shown.solids,
     }
 }
 
-pub(super) fn mass_properties(
-    scene: &Scene,
-    settings: &Settings,
-    published: &Published,
-) -> proto::MassProperties {
+pub(super) fn mass_properties<K: MessageKind>(
+    scene: &SceneOf<K>,
+    settings: &K::Settings,
+    published: &Published<K>,
+) -> Shown {
     let name = Some(scene.name().as_str());
     let seq = Some(published.seq.0);
-    convert::mass_properties(name, seq, &published.totals, settings).into()
+    K::message(K::properties(name, seq, &published.totals, settings))
 }
 
 pub(super) fn cube((id, place): (CubeId, Place), settings: &Settings) -> proto::Cube {
@@ -165,31 +250,33 @@ pub(super) fn cube((id, place): (CubeId, Place), settings: &Settings) -> proto::
     }
 }
 
-pub(super) fn history_row(
+pub(super) fn history_row<K: MessageKind>(
     wanted: Detail,
-    scene: &Scene,
-    settings: &Settings,
-    row: &HistoryRow,
+    scene: &SceneOf<K>,
+    settings: &K::Settings,
+    row: &HistoryRow<K>,
 ) -> proto::GetHistoryResponse {
     let published = Published {
         seq: row.seq,
         at_ms: row.at_ms,
         totals: row.totals,
     };
-    let (volumes, mass_properties) = totals(wanted, scene, settings, &published);
-    let removal = convert::removal(row.motion.duration_ns, row.volume_removed, settings);
+    let (volumes, shown) = totals(wanted, scene, settings, &published);
+    let duration = row.motion.duration_ns.map(convert::duration_user);
+    let volume_removed = K::volume_user(row.volume_removed, settings);
     proto::GetHistoryResponse {
         seq: row.seq.0,
         time: Some(timestamp(row.at_ms)),
         inserted: row.inserted,
         deleted: row.deleted,
         volumes,
-        mass_properties,
+        mass_properties: shown.cubes,
         r#move: row.motion.number,
-        duration: removal.duration,
-        volume_removed: removal.volume,
-        volume_removed_exact: removal.exact,
-        removal_rate: removal.rate,
+        duration,
+        volume_removed,
+        volume_removed_exact: row.volume_removed.to_string(),
+        removal_rate: convert::removal_rate(volume_removed, duration),
+        solid_mass_properties: shown.solids,
     }
 }
 

@@ -10,6 +10,7 @@ mod mass_properties;
 mod measure;
 mod messages;
 mod service;
+mod solids;
 mod status;
 mod stream;
 

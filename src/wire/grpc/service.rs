@@ -2,33 +2,41 @@
 
 use std::future::Future;
 use std::pin::Pin;
+use std::sync::Arc;
 
 use futures_util::Stream;
 use tokio_util::sync::CancellationToken;
 use tonic::{Request, Response, Status, Streaming, async_trait};
 
-use super::messages::{self, Detail};
-use super::{idempotency_key, status, stream};
+use super::messages::{self, Detail, MessageKind};
+use super::{idempotency_key, solids, status, stream};
 use crate::geometry::CubeId;
-use crate::service::{AnyScene, Seq, Service, ServiceError};
+use crate::service::{AnyScene, SceneOf, Seq, Service, ServiceError};
 use crate::wire::atomic::{Atomic, Run, Sent};
 use crate::wire::calls::{self, HistoryRows, within};
 use crate::wire::decode;
 use crate::wire::http::Limits;
-use crate::wire::problem::{Fault, Problem};
+use crate::wire::kind::Opened;
+use crate::wire::problem::{Fault, Faults, Problem};
 use crate::wire::proto::union_service_server::UnionService;
 use crate::wire::proto::{
     ApplyChangeRequest, ApplyChangeResponse, AuditSceneRequest, AuditSceneResponse,
-    ContainsRequest, ContainsResponse, CreateSceneRequest, CreateSceneResponse, DeleteSceneRequest,
-    DeleteSceneResponse, GetCubeRequest, GetCubeResponse, GetHistoryRequest, GetHistoryResponse,
-    GetMassPropertiesRequest, GetMassPropertiesResponse, GetSceneRequest, GetSceneResponse,
-    ListCubesRequest, ListCubesResponse, ListScenesRequest, ListScenesResponse, RevertSceneRequest,
-    RevertSceneResponse, StreamChangesRequest, StreamChangesResponse, WatchMassPropertiesRequest,
+    ContainsRequest, ContainsResponse, CreateSceneRequest, CreateSceneResponse, DefineShapeRequest,
+    DefineShapeResponse, DeleteSceneRequest, DeleteSceneResponse, GetCubeRequest, GetCubeResponse,
+    GetHistoryRequest, GetHistoryResponse, GetMassPropertiesRequest, GetMassPropertiesResponse,
+    GetSceneRequest, GetSceneResponse, GetSolidRequest, GetSolidResponse, ListCubesRequest,
+    ListCubesResponse, ListScenesRequest, ListScenesResponse, ListSolidsRequest,
+    ListSolidsResponse, Outcome, RevertSceneRequest, RevertSceneResponse, SolidSceneSettings,
+    StreamChangesRequest, StreamChangesResponse, WatchMassPropertiesRequest,
     WatchMassPropertiesResponse,
 };
+use crate::wire::solids::NewSolids;
 
 /// Cubes of one message of a listing.
 const LISTED_CUBES: usize = 4_096;
+
+/// Solids of one message of a listing.
+const LISTED_SOLIDS: usize = 1_024;
 
 /// What the calls know.
 pub(super) struct Calls {
@@ -57,18 +65,165 @@ fn answered<T>(body: &str, answer: Result<T, Problem>) -> tonic::Result<Response
     }
 }
 
+/// Reads the settings of a scene of solids; shapes take their time.
+async fn solid_settings(wanted: SolidSceneSettings) -> Result<NewSolids, Problem> {
+    off_thread(move || {
+        let mut faults = Faults::default();
+        let document = solids::wanted(&wanted, &mut faults);
+        decode::solid_settings_document(&document, faults)
+    })
+    .await
+}
+
+/// Runs long work where it does not hold up other requests.
+async fn off_thread<T: Send + 'static>(
+    work: impl FnOnce() -> Result<T, Problem> + Send + 'static,
+) -> Result<T, Problem> {
+    match tokio::task::spawn_blocking(work).await {
+        Ok(done) => done,
+        Err(error) => std::panic::resume_unwind(error.into_panic()),
+    }
+}
+
+/// Applies a change that was sent, with its idempotency key, or says what it would do.
+async fn apply<K: MessageKind>(
+    limits: &Limits,
+    (scene, settings): (Arc<SceneOf<K>>, Arc<K::Settings>),
+    sent: Sent,
+    (run, key): (Run, Option<Box<str>>),
+    detail: Detail,
+) -> Result<Outcome, Problem> {
+    let change = Atomic::new(scene, settings, sent, limits.change_cubes_max);
+    let applied = within(limits.request_timeout, change.apply(run, key)).await?;
+    let (scene, settings) = (&change.scene, &change.settings);
+    let mut outcome = messages::outcome(detail, scene, settings, &applied);
+    if run == Run::Dry {
+        // What would be has no seq.
+        if let Some(shown) = &mut outcome.mass_properties {
+            shown.seq = 0;
+        }
+        if let Some(shown) = &mut outcome.solid_mass_properties {
+            shown.seq = 0;
+        }
+    }
+    Ok(outcome)
+}
+
+async fn revert<K: MessageKind>(
+    scene: &SceneOf<K>,
+    settings: &K::Settings,
+    to: Seq,
+    key: Option<Box<str>>,
+    detail: Detail,
+) -> Result<Outcome, Problem> {
+    // The body that says the same over HTTP, so that a key stands for the same.
+    let body = format!("{{\"to\":{}}}", to.0);
+    let applied = calls::revert(scene, to, key, body.as_bytes()).await?;
+    Ok(messages::outcome(detail, scene, settings, &applied))
+}
+
+/// The totals at once, and then whenever they have changed.
+fn watch<K: MessageKind>(
+    scene: Arc<SceneOf<K>>,
+    settings: Arc<K::Settings>,
+    draining: CancellationToken,
+) -> Streamed<WatchMassPropertiesResponse> {
+    let ended = |error: ServiceError| Err(status::status(&error.into(), ""));
+    // One value is kept, the newest: this runs only when the client has read what came before.
+    Box::pin(async_stream::stream! {
+        loop {
+            let mut newest = match scene.subscribe() {
+                Ok(newest) => newest,
+                Err(error) => {
+                    yield ended(error);
+                    return;
+                }
+            };
+            loop {
+                let published = *newest.borrow_and_update();
+                let shown = messages::mass_properties(&scene, &settings, &published);
+                yield Ok(WatchMassPropertiesResponse {
+                    mass_properties: shown.cubes,
+                    solid_mass_properties: shown.solids,
+                });
+                tokio::select! {
+                    changed = newest.changed() => if changed.is_err() {
+                        // The scene stopped, and may be back already.
+                        break;
+                    },
+                    () = draining.cancelled() => {
+                        yield ended(ServiceError::ShuttingDown);
+                        return;
+                    }
+                }
+            }
+        }
+    })
+}
+
+/// The changes of the past that are asked for.
+fn history<K: MessageKind>(
+    scene: Arc<SceneOf<K>>,
+    settings: Arc<K::Settings>,
+    request: &GetHistoryRequest,
+    detail: Detail,
+) -> Result<Streamed<GetHistoryResponse>, Problem> {
+    let limit = request.limit.unwrap_or(u64::MAX);
+    let range = [request.from, request.to];
+    let moves = [request.move_from, request.move_to];
+    let mut rows = HistoryRows::new(scene.clone(), range, moves, limit)?;
+    Ok(Box::pin(async_stream::stream! {
+        loop {
+            match rows.page().await {
+                Ok(Some(page)) => for row in page {
+                    yield Ok(messages::history_row(detail, &scene, &settings, &row));
+                },
+                Ok(None) => return,
+                Err(error) => {
+                    yield Err(status::status(&error.into(), ""));
+                    return;
+                }
+            }
+        }
+    }))
+}
+
 #[async_trait]
 impl UnionService for Calls {
     async fn create_scene(
         &self,
         request: Request<CreateSceneRequest>,
     ) -> tonic::Result<Response<CreateSceneResponse>> {
-        let CreateSceneRequest { scene, settings } = request.into_inner();
-        bounded(&self.limits, "settings", async {
+        let CreateSceneRequest {
+            scene,
+            settings,
+            solids,
+        } = request.into_inner();
+        let body = if solids.is_some() {
+            "solids"
+        } else {
+            "settings"
+        };
+        bounded(&self.limits, body, async {
             let name = calls::scene_name(&scene)?;
-            let settings = decode::settings_message(&settings.unwrap_or_default())?;
-            let (scene, created) = calls::create(&self.service, &name, &settings).await?;
-            let scene = Some(messages::scene(&AnyScene::Cubes(scene)));
+            let (scene, created) = match (settings, solids) {
+                (settings, None) => {
+                    let settings = decode::settings_message(&settings.unwrap_or_default())?;
+                    let (scene, created) = calls::create(&self.service, &name, &settings).await?;
+                    (AnyScene::Cubes(scene), created)
+                }
+                (None, Some(wanted)) => {
+                    let wanted = solid_settings(wanted).await?;
+                    let (scene, created) =
+                        calls::create_solids(&self.service, &name, &wanted).await?;
+                    (AnyScene::Solids(scene), created)
+                }
+                (Some(_), Some(_)) => {
+                    let detail = "is sent beside settings: a scene is one of cubes or of solids";
+                    return Err(Fault::in_parameter("solids", detail, "").into());
+                }
+            };
+            let scene = Some(messages::scene(&scene));
             Ok(CreateSceneResponse { scene, created })
         })
         .await
@@ -106,6 +261,28 @@ impl UnionService for Calls {
         .await
     }
 
+    async fn define_shape(
+        &self,
+        request: Request<DefineShapeRequest>,
+    ) -> tonic::Result<Response<DefineShapeResponse>> {
+        let DefineShapeRequest { scene, name, shape } = request.into_inner();
+        bounded(&self.limits, "shape", async {
+            let (scene, settings) = calls::open_solids(&self.service, &scene)?;
+            let scale = settings.scale();
+            let read = move || {
+                let mut faults = Faults::default();
+                let document = solids::shape(&shape.unwrap_or_default(), "", &mut faults);
+                decode::shape_document(document.as_ref(), &name, scale, faults)
+            };
+            let defined = calls::define(&scene, off_thread(read).await?).await?;
+            Ok(DefineShapeResponse {
+                shape: Some(defined.shape.into()),
+                polygon_error: defined.polygon_error.map(Into::into),
+            })
+        })
+        .await
+    }
+
     async fn apply_change(
         &self,
         request: Request<ApplyChangeRequest>,
@@ -114,11 +291,20 @@ impl UnionService for Calls {
         let work = async {
             let detail = Detail::of(request.detail)?;
             let key = idempotency_key(request.idempotency_key.as_deref())?;
-            let (scene, settings) = calls::open(&self.service, &request.scene)?;
-            let sent = Sent::Message(request.change.unwrap_or_default());
-            let change = Atomic::new(scene, settings, sent, self.limits.change_cubes_max);
-            let applied = within(self.limits.request_timeout, change.apply(Run::Real, key)).await?;
-            let outcome = messages::outcome(detail, &change.scene, &change.settings, &applied);
+            let run = if request.dry_run { Run::Dry } else { Run::Real };
+            if run == Run::Dry && key.is_some() {
+                let detail = "is not taken with a dry run, of which nothing is kept";
+                return Err(Fault::in_parameter("idempotency_key", detail, "").into());
+            }
+            let sent = Sent::Message(Box::new(request.change.unwrap_or_default()));
+            let outcome = match calls::open_any(&self.service, &request.scene)? {
+                Opened::Cubes(scene, settings) => {
+                    apply(&self.limits, (scene, settings), sent, (run, key), detail).await?
+                }
+                Opened::Solids(scene, settings) => {
+                    apply(&self.limits, (scene, settings), sent, (run, key), detail).await?
+                }
+            };
             Ok(ApplyChangeResponse {
                 outcome: Some(outcome),
             })
@@ -145,11 +331,15 @@ impl UnionService for Calls {
         let work = async {
             let detail = Detail::of(request.detail)?;
             let key = idempotency_key(request.idempotency_key.as_deref())?;
-            let (scene, settings) = calls::open(&self.service, &request.scene)?;
-            // The body that says the same over HTTP, so that a key stands for the same.
-            let body = format!("{{\"to\":{}}}", request.to);
-            let applied = calls::revert(&scene, Seq(request.to), key, body.as_bytes()).await?;
-            let outcome = messages::outcome(detail, &scene, &settings, &applied);
+            let to = Seq(request.to);
+            let outcome = match calls::open_any(&self.service, &request.scene)? {
+                Opened::Cubes(scene, settings) => {
+                    revert(&scene, &settings, to, key, detail).await?
+                }
+                Opened::Solids(scene, settings) => {
+                    revert(&scene, &settings, to, key, detail).await?
+                }
+            };
             Ok(RevertSceneResponse {
                 outcome: Some(outcome),
             })
@@ -163,11 +353,20 @@ impl UnionService for Calls {
     ) -> tonic::Result<Response<GetMassPropertiesResponse>> {
         let GetMassPropertiesRequest { scene, at, wait } = request.into_inner();
         bounded(&self.limits, "", async {
-            let (scene, settings) = calls::open(&self.service, &scene)?;
-            let published = calls::published(&scene, at, wait, self.limits.wait_max).await?;
-            let shown = messages::mass_properties(&scene, &settings, &published);
+            let wait_max = self.limits.wait_max;
+            let shown = match calls::open_any(&self.service, &scene)? {
+                Opened::Cubes(scene, settings) => {
+                    let published = calls::published(&scene, at, wait, wait_max).await?;
+                    messages::mass_properties(&scene, &settings, &published)
+                }
+                Opened::Solids(scene, settings) => {
+                    let published = calls::published(&scene, at, wait, wait_max).await?;
+                    messages::mass_properties(&scene, &settings, &published)
+                }
+            };
             Ok(GetMassPropertiesResponse {
-                mass_properties: Some(shown),
+                mass_properties: shown.cubes,
+                solid_mass_properties: shown.solids,
             })
         })
         .await
@@ -179,37 +378,12 @@ impl UnionService for Calls {
         &self,
         request: Request<WatchMassPropertiesRequest>,
     ) -> tonic::Result<Response<Self::WatchMassPropertiesStream>> {
-        let opened = calls::open(&self.service, &request.get_ref().scene);
-        let (scene, settings) = answered("", opened)?.into_inner();
+        let opened = calls::open_any(&self.service, &request.get_ref().scene);
         let draining = self.draining.clone();
-        let ended = |error: ServiceError| Err(status::status(&error.into(), ""));
-        // One value is kept, the newest: this runs only when the client has read what came before.
-        Ok(Response::new(Box::pin(async_stream::stream! {
-            loop {
-                let mut newest = match scene.subscribe() {
-                    Ok(newest) => newest,
-                    Err(error) => {
-                        yield ended(error);
-                        return;
-                    }
-                };
-                loop {
-                    let published = *newest.borrow_and_update();
-                    let shown = messages::mass_properties(&scene, &settings, &published);
-                    yield Ok(WatchMassPropertiesResponse { mass_properties: Some(shown) });
-                    tokio::select! {
-                        changed = newest.changed() => if changed.is_err() {
-                            // The scene stopped, and may be back already.
-                            break;
-                        },
-                        () = draining.cancelled() => {
-                            yield ended(ServiceError::ShuttingDown);
-                            return;
-                        }
-                    }
-                }
-            }
-        })))
+        Ok(Response::new(match answered("", opened)?.into_inner() {
+            Opened::Cubes(scene, settings) => watch(scene, settings, draining),
+            Opened::Solids(scene, settings) => watch(scene, settings, draining),
+        }))
     }
 
     type GetHistoryStream = Streamed<GetHistoryResponse>;
@@ -218,37 +392,15 @@ impl UnionService for Calls {
         &self,
         request: Request<GetHistoryRequest>,
     ) -> tonic::Result<Response<Self::GetHistoryStream>> {
-        let GetHistoryRequest {
-            scene,
-            from,
-            to,
-            move_from,
-            move_to,
-            detail,
-            limit,
-        } = request.into_inner();
+        let request = request.into_inner();
         let read = || {
-            let detail = Detail::of(detail)?;
-            let (scene, settings) = calls::open(&self.service, &scene)?;
-            let limit = limit.unwrap_or(u64::MAX);
-            let rows = HistoryRows::new(scene.clone(), [from, to], [move_from, move_to], limit)?;
-            Ok((detail, scene, settings, rows))
-        };
-        let (detail, scene, settings, mut rows) = answered("", read())?.into_inner();
-        Ok(Response::new(Box::pin(async_stream::stream! {
-            loop {
-                match rows.page().await {
-                    Ok(Some(page)) => for row in page {
-                        yield Ok(messages::history_row(detail, &scene, &settings, &row));
-                    },
-                    Ok(None) => return,
-                    Err(error) => {
-                        yield Err(status::status(&error.into(), ""));
-                        return;
-                    }
-                }
+            let detail = Detail::of(request.detail)?;
+            match calls::open_any(&self.service, &request.scene)? {
+                Opened::Cubes(scene, settings) => history(scene, settings, &request, detail),
+                Opened::Solids(scene, settings) => history(scene, settings, &request, detail),
             }
-        })))
+        };
+        answered("", read())
     }
 
     type ListCubesStream = Streamed<ListCubesResponse>;
@@ -288,24 +440,81 @@ impl UnionService for Calls {
         .await
     }
 
+    type ListSolidsStream = Streamed<ListSolidsResponse>;
+
+    async fn list_solids(
+        &self,
+        request: Request<ListSolidsRequest>,
+    ) -> tonic::Result<Response<Self::ListSolidsStream>> {
+        let work = async {
+            let (scene, _) = calls::open_solids(&self.service, &request.get_ref().scene)?;
+            let (seq, bodies) = scene.bodies().await?;
+            Ok((seq, bodies, scene.context()?))
+        };
+        let (Seq(seq), bodies, shapes) = bounded(&self.limits, "", work).await?.into_inner();
+        Ok(Response::new(Box::pin(async_stream::stream! {
+            if bodies.is_empty() {
+                let solids = Some(solids::insertion(&[], &shapes));
+                yield Ok(ListSolidsResponse { seq, solids });
+            }
+            for bodies in bodies.chunks(LISTED_SOLIDS) {
+                let solids = Some(solids::insertion(bodies, &shapes));
+                yield Ok(ListSolidsResponse { seq, solids });
+            }
+        })))
+    }
+
+    async fn get_solid(
+        &self,
+        request: Request<GetSolidRequest>,
+    ) -> tonic::Result<Response<GetSolidResponse>> {
+        let GetSolidRequest { scene, id } = request.into_inner();
+        bounded(&self.limits, "", async {
+            let (scene, settings) = calls::open_solids(&self.service, &scene)?;
+            let body = calls::solid(&scene, CubeId(id)).await?;
+            let shapes = scene.context()?;
+            let solid = solids::solid(&(CubeId(id), body), &shapes, settings.scale());
+            Ok(GetSolidResponse { solid: Some(solid) })
+        })
+        .await
+    }
+
     async fn contains(
         &self,
         request: Request<ContainsRequest>,
     ) -> tonic::Result<Response<ContainsResponse>> {
         let ContainsRequest { scene, at } = request.into_inner();
         bounded(&self.limits, "", async {
-            let (scene, settings) = calls::open(&self.service, &scene)?;
             let Some(at) = at else {
                 return Err(Fault::in_parameter("at", calls::NO_POINT, "").into());
             };
             let sent = format!("{},{},{}", at.x, at.y, at.z);
-            let point = calls::point([at.x, at.y, at.z], &sent, &settings)?;
-            let (Seq(seq), side, cube) = scene.contains(point).await?;
-            Ok(ContainsResponse {
-                seq,
-                side: messages::side(side).into(),
-                cube: cube.map(|cube| messages::cube(cube, &settings)),
-                point: Some(settings.point_user(point).into()),
+            let at = at.into();
+            Ok(match calls::open_any(&self.service, &scene)? {
+                Opened::Cubes(scene, settings) => {
+                    let point = calls::point(at, &sent, &settings)?;
+                    let (Seq(seq), side, cube) = scene.contains(point).await?;
+                    ContainsResponse {
+                        seq,
+                        side: messages::side(side).into(),
+                        cube: cube.map(|cube| messages::cube(cube, &settings)),
+                        point: Some(settings.point_user(point).into()),
+                        solid: None,
+                    }
+                }
+                Opened::Solids(scene, settings) => {
+                    let scale = settings.scale();
+                    let point = calls::point_among_solids(at, &sent, scale)?;
+                    let (Seq(seq), side, solid) = scene.contains(point).await?;
+                    let shapes = scene.context()?;
+                    ContainsResponse {
+                        seq,
+                        side: messages::side(side).into(),
+                        cube: None,
+                        point: Some(scale.position(point).into()),
+                        solid: solid.map(|solid| solids::solid(&solid, &shapes, scale)),
+                    }
+                }
             })
         })
         .await
@@ -316,8 +525,11 @@ impl UnionService for Calls {
         request: Request<AuditSceneRequest>,
     ) -> tonic::Result<Response<AuditSceneResponse>> {
         let work = async {
-            let (scene, settings) = calls::open(&self.service, &request.get_ref().scene)?;
-            let (Seq(seq), cubes) = calls::audit(&scene, &settings).await?;
+            let (Seq(seq), cubes) = match calls::open_any(&self.service, &request.get_ref().scene)?
+            {
+                Opened::Cubes(scene, settings) => calls::audit(&scene, &settings).await?,
+                Opened::Solids(scene, settings) => calls::audit(&scene, &settings).await?,
+            };
             Ok(AuditSceneResponse { seq, cubes })
         };
         answered("", work.await)

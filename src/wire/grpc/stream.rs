@@ -10,6 +10,7 @@
 //! chain keeps what follows a refused change from being applied.
 
 use std::future::ready;
+use std::pin::Pin;
 use std::sync::Arc;
 
 use futures_util::future::BoxFuture;
@@ -18,15 +19,15 @@ use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 use tonic::{Status, Streaming};
 
-use super::messages::{self, Detail, unknown};
+use super::messages::{self, Detail, MessageKind, unknown};
 use super::status::{self, foreign};
 use crate::service::{
-    AnyScene, Applied, Chain, Counting, Motion, Operations, Scene, ServiceError, Submission,
+    Applied, Chain, Counting, Motion, Operations, SceneOf, ServiceError, Submission,
 };
 use crate::wire::atomic::{Atomic, Sent};
 use crate::wire::calls;
-use crate::wire::convert::Settings;
 use crate::wire::http::Limits;
+use crate::wire::kind;
 use crate::wire::problem::{Code, Fault, Problem};
 use crate::wire::proto::{
     Acknowledged, OnRefusal, Opened, Refused, StreamChangesRequest, StreamChangesResponse,
@@ -41,10 +42,13 @@ pub(super) const WINDOW_CHANGES_MAX: u32 = 256;
 /// Where in a request the places of faults are.
 const BODY: &str = "change";
 
+/// The answers of a stream.
+pub(super) type Answers = Pin<Box<dyn Stream<Item = Result<StreamChangesResponse, Status>> + Send>>;
+
 /// What has come of one message.
-enum Done {
+enum Done<K: MessageKind> {
     /// A change, with the client's number of it.
-    Judged(u64, Result<Box<Applied>, Problem>),
+    Judged(u64, Result<Box<Applied<K>>, Problem>),
     /// The end: nothing more is read.
     Ended(Status),
 }
@@ -55,7 +59,7 @@ pub(super) async fn open(
     limits: Limits,
     draining: CancellationToken,
     mut inbound: Streaming<StreamChangesRequest>,
-) -> Result<impl Stream<Item = Result<StreamChangesResponse, Status>> + Send + 'static, Status> {
+) -> Result<Answers, Status> {
     let opening = timeout(limits.request_timeout, inbound.message()).await;
     let opening = opening
         .map_err(|_| Problem::new(Code::RequestTimeout, "the stream was never opened"))
@@ -77,61 +81,98 @@ pub(super) async fn open(
         Ok(OnRefusal::Continue) => false,
         Err(_) => return Err(problem(unknown("on_refusal", on_refusal))),
     };
-    let (scene, settings) = calls::open(service, &scene).map_err(problem)?;
-    // What an earlier stream of the client has queued is done before: so the seq in the answer is after it.
-    let nothing = Submission {
-        operations: Operations::Named(Vec::new()),
-        counting: Counting::Net,
-        motion: Motion::default(),
-        key: None,
-    };
-    let queued = scene.submit(nothing, None).await;
-    let done = queued.map_err(|error| problem(error.into()))?.await;
-    done.map_err(|error| problem(error.into()))?;
-    let reader = Reader {
+    let opening = Opening {
         inbound,
-        scene: scene.clone(),
-        settings: settings.clone(),
-        chain: stops.then(Chain::default),
-        cubes_max: limits.change_cubes_max,
+        detail,
+        stops,
+        limits,
         draining,
-        over: false,
     };
-    let window = usize::try_from(WINDOW_CHANGES_MAX).expect("a window is small");
-    Ok(async_stream::stream! {
-        yield Ok(answer(response::Message::Opened(Opened {
-            scene: Some(messages::scene(&AnyScene::Cubes(scene.clone()))),
-            window_changes_max: WINDOW_CHANGES_MAX,
-        })));
-        let mut done = std::pin::pin!(stream::unfold(reader, Reader::next).buffered(window));
-        while let Some(done) = done.next().await {
-            let (tag, problem) = match done {
-                Done::Judged(tag, Ok(applied)) => {
-                    let outcome = Some(messages::outcome(detail, &scene, &settings, &applied));
-                    yield Ok(answer(response::Message::Acknowledged(Acknowledged { tag, outcome })));
-                    continue;
+    match calls::open_any(service, &scene).map_err(problem)? {
+        kind::Opened::Cubes(scene, settings) => opening.open(scene, settings).await,
+        kind::Opened::Solids(scene, settings) => opening.open(scene, settings).await,
+    }
+}
+
+/// A stream whose first message was read.
+struct Opening {
+    inbound: Streaming<StreamChangesRequest>,
+    detail: Detail,
+    /// Whether nothing is applied after a refused change.
+    stops: bool,
+    limits: Limits,
+    draining: CancellationToken,
+}
+
+impl Opening {
+    async fn open<K: MessageKind>(
+        self,
+        scene: Arc<SceneOf<K>>,
+        settings: Arc<K::Settings>,
+    ) -> Result<Answers, Status> {
+        let problem = |problem: Problem| status::status(&problem, "opening");
+        let Self {
+            inbound,
+            detail,
+            stops,
+            limits,
+            draining,
+        } = self;
+        // What an earlier stream of the client has queued is done before: so the seq in the answer is after it.
+        let nothing = Submission {
+            operations: Operations::Named(Vec::new()),
+            counting: Counting::Net,
+            motion: Motion::default(),
+            key: None,
+        };
+        let queued = scene.submit(nothing, None).await;
+        let done = queued.map_err(|error| problem(error.into()))?.await;
+        done.map_err(|error| problem(error.into()))?;
+        let reader = Reader {
+            inbound,
+            scene: scene.clone(),
+            settings: settings.clone(),
+            chain: stops.then(Chain::default),
+            cubes_max: limits.change_cubes_max,
+            draining,
+            over: false,
+        };
+        let window = usize::try_from(WINDOW_CHANGES_MAX).expect("a window is small");
+        Ok(Box::pin(async_stream::stream! {
+            yield Ok(answer(response::Message::Opened(Opened {
+                scene: Some(messages::scene(&K::any(scene.clone()))),
+                window_changes_max: WINDOW_CHANGES_MAX,
+            })));
+            let mut done = std::pin::pin!(stream::unfold(reader, Reader::next).buffered(window));
+            while let Some(done) = done.next().await {
+                let (tag, problem) = match done {
+                    Done::Judged(tag, Ok(applied)) => {
+                        let outcome = Some(messages::outcome(detail, &scene, &settings, &applied));
+                        yield Ok(answer(response::Message::Acknowledged(Acknowledged { tag, outcome })));
+                        continue;
+                    }
+                    Done::Judged(tag, Err(problem)) => (tag, problem),
+                    Done::Ended(status) => {
+                        yield Err(status);
+                        break;
+                    }
+                };
+                // Of another failure it is not known whether the change was kept: the stream ends without a word about it.
+                let concerns_it = concerns_the_change(problem.code());
+                if concerns_it {
+                    let refused = Refused {
+                        tag,
+                        problem: Some(status::message(&problem, BODY).1),
+                    };
+                    yield Ok(answer(response::Message::Refused(refused)));
                 }
-                Done::Judged(tag, Err(problem)) => (tag, problem),
-                Done::Ended(status) => {
-                    yield Err(status);
+                if stops || !concerns_it {
+                    yield Err(status::status(&problem, BODY));
                     break;
                 }
-            };
-            // Of another failure it is not known whether the change was kept: the stream ends without a word about it.
-            let concerns_it = concerns_the_change(problem.code());
-            if concerns_it {
-                let refused = Refused {
-                    tag,
-                    problem: Some(status::message(&problem, BODY).1),
-                };
-                yield Ok(answer(response::Message::Refused(refused)));
             }
-            if stops || !concerns_it {
-                yield Err(status::status(&problem, BODY));
-                break;
-            }
-        }
-    })
+        }))
+    }
 }
 
 fn answer(message: response::Message) -> StreamChangesResponse {
@@ -162,10 +203,10 @@ fn end(broken: &Status) -> Status {
 }
 
 /// Takes messages and queues the changes in them, one after the other.
-struct Reader {
+struct Reader<K: MessageKind> {
     inbound: Streaming<StreamChangesRequest>,
-    scene: Arc<Scene>,
-    settings: Arc<Settings>,
+    scene: Arc<SceneOf<K>>,
+    settings: Arc<K::Settings>,
     /// There when nothing may be applied after a refused change.
     chain: Option<Chain>,
     cubes_max: usize,
@@ -174,8 +215,8 @@ struct Reader {
     over: bool,
 }
 
-impl Reader {
-    async fn next(mut self) -> Option<(BoxFuture<'static, Done>, Self)> {
+impl<K: MessageKind> Reader<K> {
+    async fn next(mut self) -> Option<(BoxFuture<'static, Done<K>>, Self)> {
         let broken = self.chain.as_ref().is_some_and(Chain::is_broken);
         if self.over || broken {
             return None;
@@ -217,7 +258,7 @@ impl Reader {
         }
     }
 
-    fn ended(mut self, status: Status) -> (BoxFuture<'static, Done>, Self) {
+    fn ended(mut self, status: Status) -> (BoxFuture<'static, Done<K>>, Self) {
         self.over = true;
         (Box::pin(ready(Done::Ended(status))), self)
     }
@@ -226,9 +267,9 @@ impl Reader {
     async fn queue(
         &self,
         change: StreamedChange,
-    ) -> Result<impl Future<Output = Result<Applied, Problem>> + Send + use<>, Problem> {
+    ) -> Result<impl Future<Output = Result<Applied<K>, Problem>> + Send + use<K>, Problem> {
         let key = super::idempotency_key(change.idempotency_key.as_deref())?;
-        let sent = Sent::Message(change.change.unwrap_or_default());
+        let sent = Sent::Message(Box::new(change.change.unwrap_or_default()));
         let atomic = Atomic::new(
             self.scene.clone(),
             self.settings.clone(),

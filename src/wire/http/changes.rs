@@ -10,22 +10,21 @@ use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 use utoipa::ToSchema;
 
+use super::ndjson::StreamedKind;
 use super::request::{
     self, ABOUT_ID, ABOUT_IDS, BodyType, Parameters, Path, Return, body_type, idempotency_key,
 };
 use super::{App, ndjson, scenes};
 use crate::engine::Op;
 use crate::geometry::CubeId;
-use crate::service::{
-    Applied, Counting, Motion, Operations, SceneOf, SolidScene, Solids, Submission,
-};
-use crate::wire::atomic::{self, Atomic, Run, Sent};
+use crate::service::{Applied, Counting, Motion, Operations, SceneOf, Submission};
+use crate::wire::atomic::{Atomic, Run, Sent};
 use crate::wire::calls;
 use crate::wire::decode;
 use crate::wire::documents::{Change, Cube, Id, IdForm, LineOperation, Revert};
 use crate::wire::kind::{Opened, Properties, ShownKind};
 use crate::wire::problem::{Fault, Problem};
-use crate::wire::solids::{SolidChange, SolidDocument, SolidSettings};
+use crate::wire::solids::{SolidChange, SolidDocument};
 
 /// What a change did.
 #[derive(Serialize, ToSchema)]
@@ -187,8 +186,7 @@ fn applied_answer<K: ShownKind>(
 
 /// Insert and delete cubes or solids
 ///
-/// Solids are shapes of the scene, at one place or carried along a segment, and hulls; a scene of solids takes `application/json` and
-/// `application/x-ndjson`.
+/// Solids are shapes of the scene, at one place or carried along a segment, and hulls.
 ///
 /// `application/json` and `application/x-protobuf` (the message `union3d.v1.Change`) are one atomic change: deletions first, all or
 /// nothing. Inserting an id that is there at the same place, or deleting one that is not there, changes nothing and counts as
@@ -226,16 +224,25 @@ pub(super) async fn post_changes(
     body: Body,
 ) -> Result<Response, Problem> {
     let wanted = Wanted::read_of_change(parameters)?;
-    let (scene, settings) = match scenes::open_any(&app, &name)? {
-        Opened::Cubes(scene, settings) => (scene, settings),
-        Opened::Solids(scene, settings) => {
-            let applied = change_solids(&app, &scene, &settings, wanted, (&headers, body)).await;
-            let applied = applied.map_err(|problem| problem.with_ids(wanted.ids))?;
-            return Ok(applied_answer(&scene, &settings, wanted, &applied));
+    match scenes::open_any(&app, &name)? {
+        Opened::Cubes(scene, settings) => {
+            change(&app, (scene, settings), wanted, (&headers, body)).await
         }
-    };
+        Opened::Solids(scene, settings) => {
+            change(&app, (scene, settings), wanted, (&headers, body)).await
+        }
+    }
+}
+
+/// A change of a scene of either kind, or a stream of them.
+async fn change<K: StreamedKind>(
+    app: &App,
+    (scene, settings): (Arc<SceneOf<K>>, Arc<K::Settings>),
+    wanted: Wanted,
+    (headers, body): (&HeaderMap, Body),
+) -> Result<Response, Problem> {
     let taken = [BodyType::Json, BodyType::Ndjson, BodyType::Protobuf];
-    let (kind, key) = wanted.kind_and_key(&headers, &taken)?;
+    let (kind, key) = wanted.kind_and_key(headers, &taken)?;
     if kind == BodyType::Ndjson {
         let idle_max = app.limits.request_timeout;
         let applied = ndjson::apply(&scene, &settings, body, idle_max).await;
@@ -243,14 +250,14 @@ pub(super) async fn post_changes(
         return Ok(answer(&scene, &settings, wanted, &applied).into_response());
     }
     // The room that it takes is given back when it is answered.
-    let body = request::read(&headers, body, &app.limits, &app.room).await?;
+    let body = request::read(headers, body, &app.limits, &app.room).await?;
     let bytes = body.bytes.clone();
     let sent = match kind {
         BodyType::Protobuf => Sent::Protobuf(bytes),
         _ => Sent::Json(bytes),
     };
-    let (time, cubes_max) = (app.limits.request_timeout, app.limits.change_cubes_max);
-    let change = Atomic::new(scene, settings, sent, cubes_max);
+    let (time, most) = (app.limits.request_timeout, app.limits.change_cubes_max);
+    let change = Atomic::new(scene, settings, sent, most);
     let applied = calls::within(time, change.apply(wanted.run, key)).await;
     let applied = applied.map_err(|problem| problem.with_ids(wanted.ids))?;
     Ok(applied_answer(
@@ -259,33 +266,6 @@ pub(super) async fn post_changes(
         wanted,
         &applied,
     ))
-}
-
-/// An atomic change of a scene of solids.
-async fn change_solids(
-    app: &App,
-    scene: &Arc<SolidScene>,
-    settings: &Arc<SolidSettings>,
-    wanted: Wanted,
-    (headers, body): (&HeaderMap, Body),
-) -> Result<Applied<Solids>, Problem> {
-    let taken = [BodyType::Json, BodyType::Ndjson];
-    let (kind, key) = wanted.kind_and_key(headers, &taken)?;
-    if kind == BodyType::Ndjson {
-        return ndjson::apply(scene, settings, body, app.limits.request_timeout).await;
-    }
-    let body = request::read(headers, body, &app.limits, &app.room).await?;
-    let key = key.map(|key| (key, calls::digest("application/json", &body.bytes)));
-    let (bytes, shapes) = (body.bytes.clone(), scene.context()?);
-    let (scale, most) = (settings.scale(), app.limits.change_cubes_max);
-    // Hulls take their time.
-    let read = move || decode::solid_change(&bytes, &shapes, scale, most);
-    let decoded = match tokio::task::spawn_blocking(read).await {
-        Ok(decoded) => decoded?,
-        Err(error) => std::panic::resume_unwind(error.into_panic()),
-    };
-    let change = atomic::apply_solids(scene, decoded, wanted.run, key);
-    calls::within(app.limits.request_timeout, change).await
 }
 
 /// Go back

@@ -22,9 +22,8 @@ use crate::service::{
     Applied, Counting, Cubes, Kind, Motion, Operations, Published, SceneOf, ServiceError, Solids,
     Submission,
 };
-use crate::wire::atomic::{conflict, conflict_of_solids};
+use crate::wire::atomic::{ChangedKind, conflict, conflict_of_solids};
 use crate::wire::decode;
-use crate::wire::kind::ShownKind;
 use crate::wire::problem::{Code, Problem};
 
 /// Operations that are worth a chunk; a hull counts as its vertices do.
@@ -37,7 +36,7 @@ const WAITING_OPERATIONS_MAX: usize = 4 * CHUNK_OPERATIONS;
 const LINGER: Duration = Duration::from_millis(5);
 
 /// A kind of scene, as streams know it.
-pub(super) trait StreamedKind: ShownKind {
+pub(super) trait StreamedKind: ChangedKind {
     /// Longest line, in bytes.
     const LINE_BYTES_MAX: usize;
     /// Whether reading a line takes so short that other requests can wait.

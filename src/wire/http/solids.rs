@@ -22,9 +22,10 @@ use super::{App, scenes};
 use crate::engine::{Cursor, Op};
 use crate::geometry::CubeId;
 use crate::service::{Counting, Motion, Operations, Submission};
+use crate::wire::calls;
 use crate::wire::decode;
 use crate::wire::documents::{IdForm, LineOperation};
-use crate::wire::problem::{Code, Problem};
+use crate::wire::problem::Problem;
 use crate::wire::solids::{DefinedShape, ShapeDocument, SolidDocument};
 
 /// Solids of a page when no limit is given, and the most that it holds.
@@ -60,19 +61,7 @@ pub(super) async fn put_shape(
     body_type(&headers, &[BodyType::Json])?;
     let body = request::read(&headers, body, &app.limits, &app.room).await?;
     let shape = decode::shape(&body.bytes, &shape, settings.scale())?;
-    let submission = Submission {
-        operations: Operations::Define(shape.definition()),
-        counting: Counting::Net,
-        motion: Motion::default(),
-        key: None,
-    };
-    if let Err(error) = scene.change(submission).await {
-        return Err(Problem::from(error).within(&format!("shape {:?}", shape.name)));
-    }
-    let shapes = scene.context()?;
-    let defined = shapes.get(&shape.name).and_then(DefinedShape::of);
-    let unreadable = || Problem::new(Code::Internal, "the shape is kept in an unknown form");
-    defined.map(Json).ok_or_else(unreadable)
+    Ok(Json(calls::define(&scene, shape).await?))
 }
 
 /// Get a solid
@@ -93,10 +82,7 @@ pub(super) async fn get_solid(
     let ids = parameters.only(&["ids"])?.ids()?;
     let id = CubeId(whole("id", &id)?);
     let (scene, settings) = scenes::open_solids(&app, &name)?;
-    let Some(body) = scene.body(id).await? else {
-        let detail = format!("there is no solid {} in scene {name:?}", id.0);
-        return Err(Problem::new(Code::NoSuchCube, detail));
-    };
+    let body = calls::solid(&scene, id).await?;
     let shapes = scene.context()?;
     let shown = SolidDocument::of(&(id, body), ids, &shapes, settings.scale());
     Ok(Json(shown))

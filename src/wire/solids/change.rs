@@ -14,6 +14,7 @@ use crate::engine::solids::Body;
 use crate::geometry::CubeId;
 use crate::service::{Motion, Operations, Shapes, Solids};
 use crate::wire::convert;
+use crate::wire::decoded::Decoded;
 use crate::wire::documents::{Id, IdForm, LineOperation};
 use crate::wire::objects::{not_null, objects_only};
 use crate::wire::problem::{Fault, Faults};
@@ -72,24 +73,13 @@ impl SolidDocument {
     }
 }
 
-/// A decoded atomic change of solids.
-#[derive(Debug)]
-pub struct DecodedSolids {
-    /// What to do: the deletions first.
-    pub operations: Operations<Solids>,
-    /// How many of the operations are deletions.
-    pub deletions: usize,
-    /// What the change belongs to.
-    pub motion: Motion,
-}
-
 /// Notes what is wrong with a change that can be read; none then, else what it does.
 pub(in crate::wire) fn decoded(
     change: &SolidChange,
     shapes: &Shapes,
     scale: Scale,
     faults: &mut Faults,
-) -> Option<DecodedSolids> {
+) -> Option<Decoded<Solids>> {
     let duration_ns = change.duration.map(convert::duration_ns).transpose();
     if let Err(detail) = duration_ns
         && !faults.cover("/duration")
@@ -148,7 +138,7 @@ pub(in crate::wire) fn decoded(
             insert: bodies,
         }
     };
-    Some(DecodedSolids {
+    Some(Decoded {
         operations,
         deletions: change.delete.len(),
         motion: Motion {

@@ -18,7 +18,7 @@ mod shape;
 mod stl;
 
 pub use self::body::{Shapes, body};
-pub use self::change::{DecodedSolids, SolidChange};
+pub use self::change::SolidChange;
 pub(in crate::wire) use self::change::{decoded, operation};
 pub use self::documents::{
     BoxDocument, CornersDocument, CutterDocument, FitName, ShapeDocument, SolidDocument,
@@ -26,11 +26,11 @@ pub use self::documents::{
 pub(in crate::wire) use self::properties::solid_measures;
 pub use self::properties::{
     ErrorBounds, ExactSolids, FixedPoint, SolidEdgeLength, SolidMeasures, SolidProperties,
-    solid_properties, solid_volume,
+    solid_area, solid_properties, solid_volume,
 };
 pub use self::scale::{InvalidScale, Scale};
 pub(in crate::wire) use self::settings::{
-    DefinedShape, NewSolids, SolidSceneSettings, check, named_shape,
+    DefinedShape, NewSolids, PolygonError, SolidSceneSettings, check, named_shape,
 };
 pub use self::settings::{SolidSettings, SolidSettingsDocument};
 pub use self::shape::{ReadShape, shape};

@@ -128,6 +128,11 @@ pub fn solid_volume(volume6: i128, scale: Scale) -> f64 {
     float(volume6) / (float(VOLUME_DIVISOR) * scale.power(3))
 }
 
+/// An area in the unit of [`Measures::area2`] in user units squared.
+pub fn solid_area(area2: i128, scale: Scale) -> f64 {
+    float(area2) / (float(AREA_DIVISOR) * scale.power(2))
+}
+
 /// The mass properties of totals.
 pub fn solid_properties(
     scene: Option<&str>,
@@ -173,7 +178,7 @@ pub(in crate::wire) fn solid_measures(
     let moment = |steps5: f64| density * steps5 / scale.power(5);
     SolidMeasures {
         volume,
-        area: user(measures.area2, AREA_DIVISOR, 2),
+        area: solid_area(measures.area2, scale),
         edge_length: SolidEdgeLength {
             total: length(measures.edge_length2_total()),
             convex: length(convex),

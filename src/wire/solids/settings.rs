@@ -114,27 +114,27 @@ pub struct SolidSettings {
 #[derive(Serialize, ToSchema)]
 pub(in crate::wire) struct SolidSceneSettings {
     /// What the scene holds.
-    kind: KindName,
+    pub(in crate::wire) kind: KindName,
     /// Lattice steps in a user unit.
-    steps_per_unit: u32,
+    pub(in crate::wire) steps_per_unit: u32,
     /// Label of the user unit.
-    unit: String,
+    pub(in crate::wire) unit: String,
     /// Mass of a cubic user unit.
-    density: f64,
+    pub(in crate::wire) density: f64,
     /// What becomes of a coordinate between two steps.
-    rounding: Rounding,
+    pub(in crate::wire) rounding: Rounding,
     /// The block of material that the solids are cut from; left out when there is none.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
-    stock: Option<StockDocument>,
+    pub(in crate::wire) stock: Option<StockDocument>,
     /// The shapes by their names, as they can be sent again; left out while the scene does not answer.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
-    shapes: Option<BTreeMap<String, ShapeDocument>>,
+    pub(in crate::wire) shapes: Option<BTreeMap<String, ShapeDocument>>,
     /// Of each shape with round cutters, how far these are from their polygons.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
-    polygon_error: Option<BTreeMap<String, PolygonError>>,
+    pub(in crate::wire) polygon_error: Option<BTreeMap<String, PolygonError>>,
 }
 
 /// What a scene of solids is created with.
@@ -149,20 +149,34 @@ pub(in crate::wire) struct NewSolids {
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub(in crate::wire) struct DefinedShape {
     /// As it can be sent again.
-    shape: ShapeDocument,
+    pub(in crate::wire) shape: ShapeDocument,
     /// How far its round cutters are from their polygons; left out without one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
-    polygon_error: Option<PolygonError>,
+    pub(in crate::wire) polygon_error: Option<PolygonError>,
 }
 
 /// How far, at most, the polygons that stand for circles are from them, in user units.
 #[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
-struct PolygonError {
+pub(in crate::wire) struct PolygonError {
     /// How far they reach outside of the circles.
-    outside: f64,
+    pub(in crate::wire) outside: f64,
     /// How far they stay inside of them.
-    inside: f64,
+    pub(in crate::wire) inside: f64,
+}
+
+impl Default for SolidSettingsDocument {
+    fn default() -> Self {
+        Self {
+            kind: KindName::Solids,
+            steps_per_unit: default_steps(),
+            unit: default_unit(),
+            density: default_density(),
+            rounding: Rounding::default(),
+            stock: None,
+            shapes: BTreeMap::new(),
+        }
+    }
 }
 
 impl SolidSettings {
