@@ -240,7 +240,7 @@ impl Flag<'_> {
                     },
                 };
                 let value = volume.times(&factor);
-                round(&value.over, &value.under, &one, unit)
+                round_fraction(&value.over, &value.under, unit)
             }
         }
     }
@@ -248,6 +248,24 @@ impl Flag<'_> {
 
 /// `over / (under * sqrt(radicand))` in a unit, rounded half away from zero.
 fn round(over: &BigInt, under: &BigInt, radicand: &BigInt, unit: Unit) -> i128 {
+    // Twice the value, rounded down: the greatest q with q^2 <= 4 over^2 / (under^2 radicand).
+    round_half(over, under, unit, |over, under| {
+        (BigInt::from(4) * &over * &over / (&under * &under * radicand)).sqrt()
+    })
+}
+
+/// `over / under` in a unit, rounded half away from zero.
+fn round_fraction(over: &BigInt, under: &BigInt, unit: Unit) -> i128 {
+    round_half(over, under, unit, |over, under| (over << 1) / under)
+}
+
+/// A value in a unit, rounded half away from zero; `twice` rounds twice the value down, of the positive quotient in units.
+fn round_half(
+    over: &BigInt,
+    under: &BigInt,
+    unit: Unit,
+    twice: impl FnOnce(BigInt, BigInt) -> BigInt,
+) -> i128 {
     let negative = (over.sign() == Sign::Minus) != (under.sign() == Sign::Minus);
     let (over, under) = (
         BigInt::from(over.magnitude().clone()),
@@ -260,9 +278,7 @@ fn round(over: &BigInt, under: &BigInt, radicand: &BigInt, unit: Unit) -> i128 {
     } else {
         (over, under << shift)
     };
-    // Twice the value, rounded down: the greatest q with q^2 <= 4 over^2 / (under^2 radicand).
-    let twice = (BigInt::from(4) * &over * &over / (&under * &under * radicand)).sqrt();
-    let size: BigInt = (twice + 1) / 2;
+    let size: BigInt = (twice(over, under) + 1) >> 1;
     let size = i128::try_from(size).expect("a flag in its unit is below 2^93");
     if negative { -size } else { size }
 }
