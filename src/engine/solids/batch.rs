@@ -362,12 +362,8 @@ impl Engine {
             |other: &&Neighbour| batch.rank(other.slot).is_none_or(|rank| rank < target);
         let before = fresh.around.iter().filter(is_before).map(Neighbour::placed);
         let after = batch.ranks_around(target, target).into_iter();
-        for other in before.chain(after.map(|rank| batch.placed(rank))) {
-            if features.are_all_witnessed() {
-                break;
-            }
-            worker.testify(own, &mut features, other);
-        }
+        let others = before.chain(after.map(|rank| batch.placed(rank)));
+        worker.testify_all(own, &mut features, others);
         features
     }
 

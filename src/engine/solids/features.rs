@@ -53,11 +53,6 @@ impl Features {
         self.marks_of_facets()[usize::from(facet)] == 0
     }
 
-    /// Whether there is no live feature.
-    pub(super) fn are_all_witnessed(&self) -> bool {
-        self.marks.iter().all(|mark| *mark != 0)
-    }
-
     /// The mark of a witness; none when the list is full, and then the feature stays live.
     pub(super) fn mark_of(&mut self, witness: u32) -> Option<u8> {
         let place = self.witnesses.iter().position(|one| *one == witness);

@@ -12,7 +12,7 @@
     reason = "a body is compiled into each of its two callers, with their instructions"
 )]
 
-use super::certify::{GRAIN, Near, Room};
+use super::certify::{GRAIN, Near, Room, Rough};
 use super::face::{Corner, Face};
 pub(super) use super::vector::LANES;
 use super::vector::{Lanes, Vector};
@@ -107,18 +107,51 @@ fn separate_body<V: Vector>(
     first: usize,
     near: &mut Vec<u16>,
 ) -> Verdict {
-    near.clear();
-    let slack = V::splat(points[0].slack.max(points[1].slack) + GRAIN);
+    let slack = points[0].slack.max(points[1].slack);
     let ends = [splat::<V>(&points[0].at), splat::<V>(&points[1].at)];
+    separate_all(blocks, ends, slack, first, near)
+}
+
+twice! {
+    /// The same for one point.
+    pub(super) separate_one, separate_one_wide, separate_one_body, (blocks: &[Block], point: &Near, first: usize, near: &mut Vec<u16>) -> Verdict
+}
+
+#[inline(always)]
+fn separate_one_body<V: Vector>(
+    blocks: &[Block],
+    point: &Near,
+    first: usize,
+    near: &mut Vec<u16>,
+) -> Verdict {
+    separate_all(blocks, [splat::<V>(&point.at)], point.slack, first, near)
+}
+
+// Loops and no closures: those are functions of their own, without the instructions.
+#[inline(always)]
+fn separate_all<V: Vector, const POINTS: usize>(
+    blocks: &[Block],
+    points: [[V; 3]; POINTS],
+    slack: f64,
+    first: usize,
+    near: &mut Vec<u16>,
+) -> Verdict {
+    near.clear();
+    let slack = V::splat(slack + GRAIN);
     let mut at = if first < blocks.len() { first } else { 0 };
     for _ in 0..blocks.len() {
         let block = &blocks[at];
         let bound = V::of(&block.length).times(slack);
-        let (a, b) = (block.values(ends[0]), block.values(ends[1]));
-        if a.least(b).greater(bound) != 0 {
+        let mut least = block.values(points[0]);
+        let mut most = least;
+        for point in &points[1..] {
+            let value = block.values(*point);
+            (least, most) = (least.least(value), most.most(value));
+        }
+        if least.greater(bound) != 0 {
             return Verdict::Apart(at);
         }
-        let mut unsure = !bound.negative().greater(a.most(b)) & 0b1111;
+        let mut unsure = !bound.negative().greater(most) & 0b1111;
         while unsure != 0 {
             let facet = at * LANES + unsure.trailing_zeros() as usize;
             near.push(u16::try_from(facet).expect("a piece has fewer than 2^16 facets"));
@@ -130,6 +163,99 @@ fn separate_body<V: Vector>(
         }
     }
     Verdict::Undecided
+}
+
+/// Four points side by side. Places without a point hold one that is outside of everything.
+#[derive(Clone, Copy, Debug)]
+#[repr(align(32))]
+pub(super) struct Points {
+    at: [Lanes; 3],
+    slack: Lanes,
+    /// Bits of the places that have a point.
+    used: u8,
+}
+
+impl Points {
+    pub(super) fn of_corners(corners: &[Corner]) -> Vec<Self> {
+        let block = |corners: &[Corner]| {
+            let mut block = Self {
+                at: [[f64::INFINITY; LANES]; 3],
+                slack: [0.0; LANES],
+                used: 0,
+            };
+            for (lane, Corner { near, .. }) in corners.iter().enumerate() {
+                for axis in 0..3 {
+                    block.at[axis][lane] = near.at[axis];
+                }
+                block.slack[lane] = near.slack;
+                block.used |= 1 << lane;
+            }
+            block
+        };
+        corners.chunks(LANES).map(block).collect()
+    }
+}
+
+twice! {
+    /// Lists for every four points, in bits, which of them are certainly outside of a box.
+    pub(super) excluded, excluded_wide, excluded_body, (points: &[Points], room: &Room, bits: &mut Vec<u8>) -> ()
+}
+
+#[inline(always)]
+fn excluded_body<V: Vector>(points: &[Points], room: &Room, bits: &mut Vec<u8>) {
+    bits.clear();
+    let (min, max) = (splat::<V>(&room.min), splat::<V>(&room.max));
+    bits.resize(points.len(), 0);
+    for (block, bits) in points.iter().zip(bits) {
+        let slack = V::of(&block.slack);
+        let mut outside = 0;
+        for axis in 0..3 {
+            let at = V::of(&block.at[axis]);
+            outside |= min[axis].greater(at.plus(slack));
+            outside |= at.minus(slack).greater(max[axis]);
+        }
+        *bits = outside;
+    }
+}
+
+/// On which sides of a plane points are.
+#[derive(Clone, Copy, Default, Debug)]
+pub(super) struct Sides {
+    /// One is certainly outside.
+    pub(super) above: bool,
+    /// One is certainly inside.
+    pub(super) below: bool,
+    /// One may be on it.
+    pub(super) unsure: bool,
+}
+
+twice! {
+    /// On which sides of a plane points are; not all of them are looked at once there are some on both.
+    pub(super) sides, sides_wide, sides_body, (points: &[Points], plane: &Rough) -> Sides
+}
+
+#[inline(always)]
+fn sides_body<V: Vector>(points: &[Points], plane: &Rough) -> Sides {
+    let normal = splat::<V>(&plane.normal);
+    let (offset, length) = (V::splat(plane.offset), V::splat(plane.length));
+    let grain = V::splat(GRAIN);
+    let mut found = Sides::default();
+    for block in points {
+        let z = normal[2].times(V::of(&block.at[2])).plus(offset);
+        let y = normal[1].times(V::of(&block.at[1])).plus(z);
+        let value = normal[0].times(V::of(&block.at[0])).plus(y);
+        let bound = length.times(V::of(&block.slack).plus(grain));
+        let used = block.used;
+        let above = value.greater(bound) & used;
+        let below = bound.negative().greater(value) & used;
+        found.above |= above != 0;
+        found.below |= below != 0;
+        found.unsure |= above | below != used;
+        if found.above && found.below {
+            break;
+        }
+    }
+    found
 }
 
 /// Extents along ten diagonals of the axes.
@@ -211,34 +337,27 @@ impl Rooms {
 }
 
 twice! {
-    /// Lists the boxes that meet `room`, in their order, but for the two excepted.
-    pub(super) meeting, meeting_wide, meeting_body, (blocks: &[Rooms], room: &Room, except: [usize; 2], found: &mut Vec<usize>) -> ()
+    /// The first box from `from` on that meets `room`.
+    pub(super) next_meeting, next_meeting_wide, next_meeting_body, (blocks: &[Rooms], room: &Room, from: usize) -> Option<usize>
 }
 
 #[inline(always)]
-fn meeting_body<V: Vector>(
-    blocks: &[Rooms],
-    room: &Room,
-    except: [usize; 2],
-    found: &mut Vec<usize>,
-) {
-    found.clear();
+fn next_meeting_body<V: Vector>(blocks: &[Rooms], room: &Room, from: usize) -> Option<usize> {
     let (min, max) = (splat::<V>(&room.min), splat::<V>(&room.max));
-    for (number, block) in blocks.iter().enumerate() {
+    let mut wanted = 0b1111 << (from % LANES);
+    for (number, block) in blocks.iter().enumerate().skip(from / LANES) {
         let mut apart = 0;
         for axis in 0..3 {
             apart |= V::of(&block.min[axis]).greater(max[axis]);
             apart |= min[axis].greater(V::of(&block.max[axis]));
         }
-        let mut meet = !apart & 0b1111;
-        while meet != 0 {
-            let index = number * LANES + meet.trailing_zeros() as usize;
-            meet &= meet - 1;
-            if !except.contains(&index) {
-                found.push(index);
-            }
+        let meet = !apart & 0b1111 & wanted;
+        if meet != 0 {
+            return Some(number * LANES + meet.trailing_zeros() as usize);
         }
+        wanted = 0b1111;
     }
+    None
 }
 
 twice! {

@@ -11,11 +11,11 @@ use smallvec::SmallVec;
 
 use crate::geometry::EdgeKind;
 
-use super::certify::Room;
+use super::certify::{Near, Room};
 use super::clip::{Inside, Line, clip};
 use super::face::{Arithmetic, Vertex};
 use super::features::Features;
-use super::lanes::{Rooms, meeting};
+use super::lanes::{Rooms, Verdict, next_meeting, separate};
 use super::ledger::Ledger;
 use super::piece::Piece;
 use super::sector::{Rays, Sector, Sheet, Touch};
@@ -48,7 +48,6 @@ pub(super) struct Scratch {
     pub(super) rooms: Vec<Rooms>,
     /// For each member the block of planes that separated last.
     pub(super) hints: Vec<u16>,
-    found: Vec<usize>,
     near: Vec<u16>,
 }
 
@@ -56,7 +55,7 @@ pub(super) struct Scratch {
 struct Interval<'a> {
     ends: [Vertex<'a>; 2],
     touches: SmallVec<[Touch<'a>; 4]>,
-    /// Place in the list of members to look at.
+    /// The member to look at.
     next: usize,
     /// Whether it lies in the interior of the new piece.
     is_in_new: bool,
@@ -88,8 +87,25 @@ impl<'a> Candidates<'a, '_> {
         u64::from(!is_live) << 32 | u64::from(slot)
     }
 
+    /// Whether a segment certainly does not reach into the closed new piece: then it is no candidate of [`Phase::Before`].
+    pub(super) fn misses_new(&mut self, ends: [&Near; 2]) -> bool {
+        let new = self.members[NEW].piece;
+        if !Room::around(ends[0], ends[1]).meets(&new.room) {
+            return true;
+        }
+        if self.arithmetic == Arithmetic::Exact {
+            return false;
+        }
+        let Scratch { hints, near, .. } = &mut *self.scratch;
+        let verdict = separate(&new.blocks, ends, usize::from(hints[NEW]), near);
+        if let Verdict::Apart(block) = verdict {
+            hints[NEW] = u16::try_from(block).expect("a piece has fewer than 2^16 facets");
+        }
+        verdict != Verdict::Undecided
+    }
+
     /// Looks at a segment that is an edge of one member, or a proper crossing of facets of two: `finders`. Posts what of it is an edge of the
-    /// union that `phase` names.
+    /// union that `phase` names. One of [`Phase::Before`] does not miss the new piece.
     pub(super) fn look(
         &mut self,
         line: &Line<'a>,
@@ -97,25 +113,8 @@ impl<'a> Candidates<'a, '_> {
         finders: &[Touch<'a>],
         phase: Phase,
     ) {
-        let room = Room::around(&ends[0].near, &ends[1].near);
-        let except = [finders[0].member, finders[finders.len() - 1].member];
-        let mut found = std::mem::take(&mut self.scratch.found);
-        meeting(&self.scratch.rooms, &room, except, &mut found);
-        if phase == Phase::After || found.first() == Some(&NEW) {
-            self.split(line, ends, finders, phase, &found);
-        }
-        self.scratch.found = found;
-    }
-
-    fn split(
-        &mut self,
-        line: &Line<'a>,
-        ends: [Vertex<'a>; 2],
-        finders: &[Touch<'a>],
-        phase: Phase,
-        found: &[usize],
-    ) {
         let arithmetic = self.arithmetic;
+        let except = [finders[0].member, finders[finders.len() - 1].member];
         let rays: SmallVec<[[Sheet<'a>; 2]; 2]> = finders
             .iter()
             .map(|finder| finder.rays(arithmetic, line))
@@ -128,18 +127,13 @@ impl<'a> Candidates<'a, '_> {
             is_in_new: false,
         });
         'intervals: while let Some(mut interval) = open.pop() {
-            let is_whole = interval.next == 0;
-            let mut room =
-                (!is_whole).then(|| Room::around(&interval.ends[0].near, &interval.ends[1].near));
-            while let Some(&index) = found.get(interval.next) {
-                interval.next += 1;
-                let piece = self.members[index].piece;
-                if room.is_some_and(|room| !room.meets(&piece.room)) {
-                    if index == NEW {
-                        continue 'intervals;
-                    }
+            let mut room = Room::around(&interval.ends[0].near, &interval.ends[1].near);
+            while let Some(index) = next_meeting(&self.scratch.rooms, &room, interval.next) {
+                interval.next = index + 1;
+                if except.contains(&index) {
                     continue;
                 }
+                let piece = self.members[index].piece;
                 let parts = clip(
                     arithmetic,
                     piece,
@@ -197,7 +191,7 @@ impl<'a> Candidates<'a, '_> {
                 if enters.is_some() || leaves.is_some() {
                     let [tail, head] = interval.ends;
                     interval.ends = [enters.unwrap_or(tail), leaves.unwrap_or(head)];
-                    room = Some(Room::around(&interval.ends[0].near, &interval.ends[1].near));
+                    room = Room::around(&interval.ends[0].near, &interval.ends[1].near);
                 }
                 match touch {
                     Some(touch) => interval.touches.push(touch),

@@ -23,7 +23,9 @@ use super::clip::Line;
 use super::exact::cross_wide;
 use super::face::{Arithmetic, Face, Position, Vertex, exact_side, side};
 use super::features::Features;
-use super::lanes::{Rooms, separates};
+#[cfg(feature = "paranoid")]
+use super::lanes::Sides;
+use super::lanes::{Rooms, separates, sides};
 use super::ledger::{Books, Ledger};
 use super::lines::{Candidates, Member, NEW, Phase, Scratch};
 use super::measures::{ErrorMax, Measures};
@@ -152,6 +154,12 @@ impl<'a> Search<'a, '_> {
     fn edge(&mut self, member: usize, edge: u16, phase: Phase) {
         let piece = self.members[member].piece;
         let edge = piece.edge(edge);
+        if phase == Phase::Before {
+            let ends = [edge.tail, edge.head].map(|end| &piece.corners[usize::from(end)].near);
+            if self.candidates.misses_new(ends) {
+                return;
+            }
+        }
         let faces = [piece.face(edge.left), piece.face(edge.right)];
         let ends = [edge.tail, edge.head].map(|vertex| piece.vertex(vertex));
         let direction = match [edge.tail, edge.head]
@@ -278,6 +286,19 @@ impl<'a> Search<'a, '_> {
     /// Whether a piece lies in one closed half-space of a plane.
     fn is_on_one_side(&self, face: &'a Face, piece: &'a Piece) -> bool {
         let arithmetic = self.candidates.arithmetic;
+        if arithmetic == Arithmetic::Filtered {
+            let found = sides(&piece.points, &face.rough);
+            #[cfg(feature = "paranoid")]
+            check_sides(face, piece, found);
+            if found.above && found.below {
+                return false;
+            }
+            // A facet's own plane is the usual one that some vertices are on.
+            let bounds = |own: &Face| own.same(face) || own.opposite(face);
+            if !found.unsure || piece.faces.iter().any(bounds) {
+                return true;
+            }
+        }
         let (mut above, mut below) = (false, false);
         for (vertex, corner) in (0..).zip(&piece.corners) {
             let sign = match face.rough.side(&corner.near) {
@@ -337,12 +358,34 @@ impl<'a> Search<'a, '_> {
                 _ => {}
             }
         }
+        if phase == Phase::Before && self.candidates.misses_new([&ends[0].near, &ends[1].near]) {
+            return;
+        }
         let finders = [
             Touch::facet(members[0], f, faces[0]),
             Touch::facet(members[1], g, faces[1]),
         ];
         self.candidates.look(&line, ends, &finders, phase);
     }
+}
+
+/// Compares what the filter says of a piece's vertices with exact signs.
+#[cfg(feature = "paranoid")]
+fn check_sides(face: &Face, piece: &Piece, found: Sides) {
+    let corners = u16::try_from(piece.corners.len()).expect("fewer than 2^16 vertices");
+    let exact: Vec<i32> = (0..corners)
+        .map(|vertex| exact_side(face, &piece.vertex(vertex)))
+        .collect();
+    assert!(!found.above || exact.contains(&1), "one is outside");
+    assert!(!found.below || exact.contains(&-1), "one is inside");
+    let is_sure = !found.unsure && !(found.above && found.below);
+    assert!(
+        !is_sure
+            || exact
+                .iter()
+                .all(|side| [-i32::from(found.below), i32::from(found.above)].contains(side)),
+        "all are on the side that is found"
+    );
 }
 
 fn has_both_sides(sides: impl Iterator<Item = i32>) -> bool {

@@ -436,12 +436,8 @@ impl Engine {
             slot,
         };
         let mut features = Features::live(piece.edges.len(), piece.faces.len());
-        for other in &neighbours {
-            if features.are_all_witnessed() {
-                break;
-            }
-            self.worker.testify(own, &mut features, other.placed());
-        }
+        let others = neighbours.iter().map(Neighbour::placed);
+        self.worker.testify_all(own, &mut features, others);
         let marginal = self.marginal(own, &features, &neighbours);
         if marginal.change.is_none() {
             let alone = neighbours

@@ -10,12 +10,14 @@ use crate::geometry::convex::{Edge, Plane, Solid};
 
 use super::certify::{Near, Room};
 use super::face::{Arithmetic, Corner, Face, Place, Position, Vertex, side};
-use super::lanes::{Block, Slabs};
+use super::lanes::{Block, Points, Slabs};
 
 /// A closed convex polyhedron, ready to be measured.
 #[derive(Clone, Debug)]
 pub(super) struct Piece {
     pub(super) corners: Vec<Corner>,
+    /// The corners again, roughly, four by four.
+    pub(super) points: Vec<Points>,
     pub(super) faces: Vec<Face>,
     pub(super) edges: Vec<Edge>,
     /// Where the loop of each facet starts in `loops`, and the end of the last.
@@ -108,6 +110,7 @@ impl Piece {
             bounds: parts.bounds,
             blocks: Block::of_faces(&faces),
             slabs: Slabs::around(&parts.corners),
+            points: Points::of_corners(&parts.corners),
             corners: parts.corners,
             faces,
             edges: parts.edges,
@@ -178,6 +181,7 @@ impl Piece {
     pub(super) fn size(&self) -> usize {
         size_of::<Self>()
             + size_of_val(&*self.corners)
+            + size_of_val(&*self.points)
             + size_of_val(&*self.faces)
             + size_of_val(&*self.edges)
             + size_of_val(&*self.starts)

@@ -8,13 +8,16 @@ use smallvec::SmallVec;
 
 use super::face::{Arithmetic, Place, Vertex, exact_side, side};
 use super::features::Features;
-use super::lanes::{Verdict, separate};
+use super::lanes::{LANES, Verdict, excluded, separate, separate_one};
 use super::piece::Piece;
+
+/// Where fewer features are asked for, all vertices are not compared with the other piece's box beforehand.
+const MANY: usize = 8;
 
 /// What is known of a vertex.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Vertices {
-    Unknown,
+    Unknown = 0,
     Inside,
     Outside,
 }
@@ -31,10 +34,11 @@ pub(super) struct Placed<'a> {
 pub(super) struct Witnesses {
     vertices: Vec<u8>,
     near: Vec<u16>,
+    bits: Vec<u8>,
 }
 
 impl Witnesses {
-    /// Marks those of the given edges and facets of a piece that `other` dominates.
+    /// Marks those of the given edges and facets of a piece that `other` dominates; false when there are none.
     pub(super) fn testify(
         &mut self,
         arithmetic: Arithmetic,
@@ -42,7 +46,7 @@ impl Witnesses {
         features: &mut Features,
         (edges, facets): (&[u16], &[u16]),
         other: Placed,
-    ) {
+    ) -> bool {
         let mut court = Court {
             arithmetic,
             own,
@@ -54,7 +58,15 @@ impl Witnesses {
         court.vertices.clear();
         court
             .vertices
-            .resize(own.piece.corners.len(), Vertices::Unknown as u8);
+            .resize(LANES * own.piece.points.len(), Vertices::Unknown as u8);
+        if edges.len() + facets.len() >= MANY {
+            excluded(&own.piece.points, &other.piece.room, &mut self.bits);
+            for (four, bits) in court.vertices.chunks_exact_mut(LANES).zip(&self.bits) {
+                for (lane, vertex) in four.iter_mut().enumerate() {
+                    *vertex = (bits >> lane & 1) * Vertices::Outside as u8;
+                }
+            }
+        }
         let mut mark = None;
         for &edge in edges {
             if court.holds_edge(edge) && court.dominates_edge(edge) {
@@ -72,6 +84,7 @@ impl Witnesses {
         }
         self.vertices = court.vertices;
         self.near = court.near;
+        mark.is_some()
     }
 }
 
@@ -89,12 +102,22 @@ struct Court<'a> {
 impl Court<'_> {
     fn holds_edge(&mut self, edge: u16) -> bool {
         let edge = self.own.piece.edge(edge);
-        self.holds(edge.tail) && self.holds(edge.head)
+        !self.is_outside(edge.tail)
+            && !self.is_outside(edge.head)
+            && self.holds(edge.tail)
+            && self.holds(edge.head)
     }
 
     fn holds_facet(&mut self, facet: u16) -> bool {
         let own = self.own.piece;
-        own.loop_of(facet).iter().all(|&vertex| self.holds(vertex))
+        let points = own.loop_of(facet);
+        !points.iter().any(|&vertex| self.is_outside(vertex))
+            && points.iter().all(|&vertex| self.holds(vertex))
+    }
+
+    /// Whether a vertex is known to be outside of the other piece.
+    fn is_outside(&self, vertex: u16) -> bool {
+        self.vertices[usize::from(vertex)] == Vertices::Outside as u8
     }
 
     /// Whether a vertex lies in the closed other piece.
@@ -118,7 +141,7 @@ impl Court<'_> {
         if self.other.piece.room.excludes(&vertex.near) {
             return false;
         }
-        self.list_near([&vertex, &vertex]) && {
+        self.list_near(&vertex) && {
             let near = std::mem::take(&mut self.near);
             let other = self.other.piece;
             let holds = near
@@ -129,12 +152,23 @@ impl Court<'_> {
         }
     }
 
-    /// Lists the facets of the other piece that may have one of the points not inside; false when one has both outside.
-    fn list_near(&mut self, points: [&Vertex; 2]) -> bool {
+    /// Lists the facets of the other piece that may have a point not inside; false when one has it outside.
+    fn list_near(&mut self, point: &Vertex) -> bool {
+        let blocks = &self.other.piece.blocks;
+        self.list(|first, near| separate_one(blocks, &point.near, first, near))
+    }
+
+    /// The same for the ends of an edge, one of which is not inside, or both outside.
+    fn list_near_edge(&mut self, ends: [&Vertex; 2]) -> bool {
+        let blocks = &self.other.piece.blocks;
+        let ends = ends.map(|end| &end.near);
+        self.list(|first, near| separate(blocks, ends, first, near))
+    }
+
+    fn list(&mut self, separate: impl FnOnce(usize, &mut Vec<u16>) -> Verdict) -> bool {
         let other = self.other.piece;
         if self.arithmetic == Arithmetic::Filtered {
-            let points = points.map(|point| &point.near);
-            return match separate(&other.blocks, points, self.first, &mut self.near) {
+            return match separate(self.first, &mut self.near) {
                 Verdict::Undecided => true,
                 Verdict::Apart(block) => {
                     self.first = block;
@@ -153,7 +187,7 @@ impl Court<'_> {
         let (own, other) = (self.own.piece, self.other.piece);
         let edge = own.edge(edge);
         let ends = [edge.tail, edge.head].map(|vertex| own.vertex(vertex));
-        if !self.list_near([&ends[0], &ends[1]]) {
+        if !self.list_near_edge([&ends[0], &ends[1]]) {
             return false;
         }
         let mut holders: SmallVec<[u16; 2]> = SmallVec::new();
@@ -202,7 +236,7 @@ impl Court<'_> {
         let face = own.face(facet);
         let points = own.loop_of(facet);
         let first = own.vertex(points[0]);
-        if !self.list_near([&first, &first]) {
+        if !self.list_near(&first) {
             return false;
         }
         for &near in &self.near {

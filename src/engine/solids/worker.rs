@@ -32,13 +32,32 @@ impl Worker {
         }
     }
 
+    /// Marks the live features of a piece that others dominate, the first ones first.
+    pub(super) fn testify_all<'a>(
+        &mut self,
+        own: Placed,
+        features: &mut Features,
+        others: impl Iterator<Item = Placed<'a>>,
+    ) {
+        self.list_live(features);
+        for other in others {
+            if !self.testify_again(own, features, other) {
+                break;
+            }
+        }
+    }
+
     /// Marks the live features of a piece that another dominates.
     pub(super) fn testify(&mut self, own: Placed, features: &mut Features, other: Placed) {
+        self.list_live(features);
+        self.ask(own, features, other);
+    }
+
+    fn list_live(&mut self, features: &Features) {
         self.edges.clear();
         self.facets.clear();
         self.edges.extend(features.live_edges());
         self.facets.extend(features.live_facets());
-        self.ask(own, features, other);
     }
 
     /// Makes live what parts of these slots stood witness for; [`Self::testify_again`] is about these features. False when there are none.
@@ -62,10 +81,11 @@ impl Worker {
         features: &mut Features,
         other: Placed,
     ) -> bool {
-        self.ask(own, features, other);
-        self.edges
-            .retain(|edge| features.is_edge_live(usize::from(*edge)));
-        self.facets.retain(|facet| features.is_facet_live(*facet));
+        if self.ask(own, features, other) {
+            self.edges
+                .retain(|edge| features.is_edge_live(usize::from(*edge)));
+            self.facets.retain(|facet| features.is_facet_live(*facet));
+        }
         !self.is_idle()
     }
 
@@ -94,11 +114,12 @@ impl Worker {
         self.edges.is_empty() && self.facets.is_empty()
     }
 
-    fn ask(&mut self, own: Placed, features: &mut Features, other: Placed) {
-        if !self.is_idle() {
-            let asked = (&self.edges[..], &self.facets[..]);
-            self.witnesses
-                .testify(self.arithmetic, own, features, asked, other);
-        }
+    /// Whether another piece dominates some of the features that are looked at; marks them.
+    fn ask(&mut self, own: Placed, features: &mut Features, other: Placed) -> bool {
+        let asked = (&self.edges[..], &self.facets[..]);
+        !self.is_idle()
+            && self
+                .witnesses
+                .testify(self.arithmetic, own, features, asked, other)
     }
 }
