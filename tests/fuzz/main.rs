@@ -1,16 +1,43 @@
 //! Runs the fuzz targets over their corpora and over seeded mutations of them: a short smoke run on any toolchain. For a long one,
 //! with coverage, `cargo +nightly fuzz run --fuzz-dir tests/fuzz TARGET` (in `bin/` is a program for each).
+//!
+//! Those programs are what runs here: only libFuzzer is another, the macro below, so that they compile wherever the tests do.
+#![allow(
+    clippy::duplicate_mod,
+    reason = "each program in bin/ is one of its own, with its own targets"
+)]
+
+extern crate self as libfuzzer_sys;
 
 use std::fs;
 use std::panic::catch_unwind;
 use std::path::{Path, PathBuf};
 
+#[path = "bin/codec.rs"]
+mod codec;
+#[path = "bin/decode.rs"]
+mod decode;
+#[path = "bin/moves.rs"]
+mod moves;
 #[path = "../oracle/random.rs"]
 mod random;
-mod targets;
+#[path = "bin/wal.rs"]
+mod wal;
 
 use random::Random;
-use targets::{Target, target};
+
+/// In the place of libFuzzer's: what it would run becomes a function.
+#[macro_export]
+macro_rules! fuzz_target {
+    (|$bytes:ident: &[u8]| $body:expr) => {
+        pub(crate) fn fuzz($bytes: &[u8]) {
+            $body;
+        }
+    };
+}
+
+/// What one of the programs does with an input.
+type Target = fn(&[u8]);
 
 const MUTATIONS_PER_TARGET: u64 = 4_000;
 const INPUT_BYTES_MAX: usize = 20_000;
@@ -69,8 +96,7 @@ fn run(name: &str, target: Target, bytes: &[u8], origin: &str) {
     }
 }
 
-fn smoke(name: &str) {
-    let target = target(name);
+fn smoke(name: &str, target: Target) {
     let corpus = corpus(name);
     for (path, bytes) in &corpus {
         run(name, target, bytes, &path.display().to_string());
@@ -88,20 +114,20 @@ fn smoke(name: &str) {
 
 #[test]
 fn bodies_of_requests() {
-    smoke("decode");
+    smoke("decode", decode::fuzz);
 }
 
 #[test]
 fn packed_cubes_and_totals() {
-    smoke("codec");
+    smoke("codec", codec::fuzz);
 }
 
 #[test]
 fn write_ahead_files() {
-    smoke("wal");
+    smoke("wal", wal::fuzz);
 }
 
 #[test]
 fn programs_of_machines() {
-    smoke("moves");
+    smoke("moves", moves::fuzz);
 }

@@ -1,4 +1,4 @@
-#![no_main]
+#![cfg_attr(fuzzing, no_main)]
 //! Fuzzes `wal`.
 
 #[path = "../targets.rs"]
