@@ -37,7 +37,7 @@ pub struct Warning {
 /// A line that cannot be run. The program ends there.
 #[derive(Clone, PartialEq, Eq, Debug, thiserror::Error)]
 #[error("{}line {line}, column {column}: {what}: {text:?}", named(.file.as_deref()))]
-pub struct Fault {
+pub struct InvalidLine {
     /// The file it stands in, when that is not the program itself.
     pub file: Option<String>,
     /// Line of the file, from 1.

@@ -7,7 +7,7 @@ use std::collections::VecDeque;
 
 use super::block::{Block, Manner};
 use super::dialect::{self, Dialect};
-use super::event::{Event, Fault, Warning};
+use super::event::{Event, InvalidLine, Warning};
 use super::expression::{Name, Reader, Unreadable, Values};
 use super::flow::{self, Control, Keyword, Label};
 use super::machine::{After, Machine, Modes};
@@ -35,7 +35,7 @@ pub struct Interpreter {
     block: Block,
     waiting: VecDeque<Event>,
     /// A fault found before the first line.
-    unreadable: Option<Fault>,
+    unreadable: Option<InvalidLine>,
     started: bool,
     done: bool,
     idle: u64,
@@ -140,7 +140,7 @@ impl Interpreter {
         let (text, unreadable) = match Text::new(program.into()) {
             Ok(text) => (text, None),
             Err(no_text) => {
-                let fault = Fault {
+                let fault = InvalidLine {
                     file: None,
                     line: no_text.line,
                     column: 1,
@@ -225,7 +225,7 @@ impl Interpreter {
         outside.map_or(0, |frame| frame.back.line as u64)
     }
 
-    fn fault(&self, at: Position, offset: usize, what: impl Into<String>) -> Fault {
+    fn fault(&self, at: Position, offset: usize, what: impl Into<String>) -> InvalidLine {
         let source = &self.sources[at.source];
         let line = if at.line < source.text.count() {
             source.text.line(at.line)
@@ -234,7 +234,7 @@ impl Interpreter {
         };
         let before = String::from_utf8_lossy(&line[..offset.min(line.len())]);
         let text = String::from_utf8_lossy(line);
-        Fault {
+        InvalidLine {
             file: source.name.clone(),
             line: at.line as u64 + 1,
             column: before.chars().count() + 1,
@@ -244,7 +244,7 @@ impl Interpreter {
     }
 
     /// Runs the next line.
-    fn advance(&mut self) -> Result<(), Fault> {
+    fn advance(&mut self) -> Result<(), InvalidLine> {
         let at = self.at;
         if at.line >= self.sources[at.source].text.count() {
             return self.end_of_text();
@@ -282,7 +282,7 @@ impl Interpreter {
     }
 
     /// `%`: the first before any words opens the program, with a name perhaps; the next ends it.
-    fn mark(&mut self) -> Result<(), Fault> {
+    fn mark(&mut self) -> Result<(), InvalidLine> {
         if std::mem::replace(&mut self.started, true) {
             return self.end();
         }
@@ -291,7 +291,7 @@ impl Interpreter {
     }
 
     /// A line of words.
-    fn words(&mut self, at: Position) -> Result<(), Fault> {
+    fn words(&mut self, at: Position) -> Result<(), InvalidLine> {
         let number = self.line();
         let line = self.sources[at.source].text.line(at.line);
         let mut reader = Reader::new(line);
@@ -354,11 +354,11 @@ impl Interpreter {
         }
     }
 
-    fn unreadable(&self, at: Position, wrong: Unreadable) -> Fault {
+    fn unreadable(&self, at: Position, wrong: Unreadable) -> InvalidLine {
         self.fault(at, wrong.offset, wrong.what)
     }
 
-    fn set(&mut self, at: Position, name: Name, value: f64) -> Result<(), Fault> {
+    fn set(&mut self, at: Position, name: Name, value: f64) -> Result<(), InvalidLine> {
         match name {
             Name::Number(number) if SYSTEM.contains(&number) => {
                 let what =
@@ -382,7 +382,7 @@ impl Interpreter {
     }
 
     /// The text is over without M2, M30 or M99.
-    fn end_of_text(&mut self) -> Result<(), Fault> {
+    fn end_of_text(&mut self) -> Result<(), InvalidLine> {
         if self.frames.len() == 1 {
             return self.end();
         }
@@ -396,7 +396,7 @@ impl Interpreter {
     }
 
     /// The program ends.
-    fn end(&mut self) -> Result<(), Fault> {
+    fn end(&mut self) -> Result<(), InvalidLine> {
         self.done = true;
         let at = self.at;
         let last = Position {
@@ -454,7 +454,7 @@ impl Source {
 }
 
 impl Iterator for Interpreter {
-    type Item = Result<Event, Fault>;
+    type Item = Result<Event, InvalidLine>;
 
     fn next(&mut self) -> Option<Self::Item> {
         if let Some(fault) = self.unreadable.take() {

@@ -35,7 +35,7 @@ mod tools;
 
 pub use codes::words_table;
 pub use dialect::Dialect;
-pub use event::{Event, Fault, Warning};
+pub use event::{Event, InvalidLine, Warning};
 pub use interpreter::Interpreter;
 pub use options::{Options, RapidPath};
 pub use path::{Motion, Move, Plane, Sampler};

@@ -2,7 +2,7 @@
 
 use super::super::expression::Reader;
 use super::super::flow::{Keyword, Label};
-use super::{Callee, Fault, Frame, Interpreter, Position};
+use super::{Callee, Frame, Interpreter, InvalidLine, Position};
 
 /// How deep calls may stand in each other.
 const CALLS_MAX: usize = 64;
@@ -14,7 +14,7 @@ impl Interpreter {
         at: Position,
         number: u64,
         times: u64,
-    ) -> Result<(), Fault> {
+    ) -> Result<(), InvalidLine> {
         let wanted = Label::Number(number);
         let found = self.sources[at.source]
             .controls
@@ -27,7 +27,12 @@ impl Interpreter {
     }
 
     /// M97: the lines from a number on.
-    pub(super) fn call_line(&mut self, at: Position, number: u64, times: u64) -> Result<(), Fault> {
+    pub(super) fn call_line(
+        &mut self,
+        at: Position,
+        number: u64,
+        times: u64,
+    ) -> Result<(), InvalidLine> {
         let text = &self.sources[at.source].text;
         let numbered = |line: &[u8]| {
             let mut reader = Reader::new(line);
@@ -42,7 +47,12 @@ impl Interpreter {
         self.enter_program(at, Position { line, ..at }, times)
     }
 
-    fn enter_program(&mut self, at: Position, start: Position, times: u64) -> Result<(), Fault> {
+    fn enter_program(
+        &mut self,
+        at: Position,
+        start: Position,
+        times: u64,
+    ) -> Result<(), InvalidLine> {
         if times == 0 {
             return Ok(());
         }
@@ -61,7 +71,7 @@ impl Interpreter {
         at: Position,
         callee: Callee,
         start: Position,
-    ) -> Result<(), Fault> {
+    ) -> Result<(), InvalidLine> {
         if self.frames.len() > CALLS_MAX {
             let what = format!("more than {CALLS_MAX} calls in each other");
             return Err(self.fault(at, 0, what));
@@ -80,7 +90,7 @@ impl Interpreter {
     }
 
     /// M99.
-    pub(super) fn return_from_program(&mut self, at: Position) -> Result<(), Fault> {
+    pub(super) fn return_from_program(&mut self, at: Position) -> Result<(), InvalidLine> {
         match &mut self.frame().callee {
             Callee::Program {
                 start,

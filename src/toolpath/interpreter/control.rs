@@ -4,11 +4,11 @@ use super::super::expression::Reader;
 use super::super::flow::{self, Control, Keyword, Label};
 use super::super::parameters::ARGUMENTS;
 use super::super::text::Text;
-use super::{Callee, Fault, Interpreter, Loop, LoopKind, Position, Scope, Source};
+use super::{Callee, Interpreter, InvalidLine, Loop, LoopKind, Position, Scope, Source};
 
 impl Interpreter {
     /// A line with an O-word, which stands at `offset`.
-    pub(super) fn control(&mut self, at: Position, offset: usize) -> Result<(), Fault> {
+    pub(super) fn control(&mut self, at: Position, offset: usize) -> Result<(), InvalidLine> {
         let bytes = self.sources[at.source].text.line(at.line).to_vec();
         let mut reader = Reader::new(&bytes);
         reader.at = offset;
@@ -73,7 +73,12 @@ impl Interpreter {
         self.rest(&mut reader, at)
     }
 
-    fn repeat(&mut self, at: Position, label: Label, reader: &mut Reader<'_>) -> Result<(), Fault> {
+    fn repeat(
+        &mut self,
+        at: Position,
+        label: Label,
+        reader: &mut Reader<'_>,
+    ) -> Result<(), InvalidLine> {
         let rounds = self.bracket(reader, at)?.round();
         if rounds < 1.0 {
             return self.jump_behind(at, &label, &[Keyword::EndRepeat]);
@@ -92,7 +97,7 @@ impl Interpreter {
         Ok(())
     }
 
-    fn end_repeat(&mut self, at: Position, label: &Label) -> Result<(), Fault> {
+    fn end_repeat(&mut self, at: Position, label: &Label) -> Result<(), InvalidLine> {
         let open = self.innermost(at, label, "endrepeat")?;
         let loops = &mut self.frame().loops;
         match (open.kind, loops.last_mut()) {
@@ -108,7 +113,7 @@ impl Interpreter {
     }
 
     /// The line where a loop ends.
-    fn line_of_end(&self, at: Position, open: &Loop) -> Result<usize, Fault> {
+    fn line_of_end(&self, at: Position, open: &Loop) -> Result<usize, InvalidLine> {
         let end = match open.kind {
             LoopKind::While => Keyword::EndWhile,
             LoopKind::Do => Keyword::While,
@@ -120,7 +125,7 @@ impl Interpreter {
     }
 
     /// Nothing but a comment may follow.
-    fn rest(&self, reader: &mut Reader<'_>, at: Position) -> Result<(), Fault> {
+    fn rest(&self, reader: &mut Reader<'_>, at: Position) -> Result<(), InvalidLine> {
         while reader.peek() == b'(' {
             reader
                 .comment()
@@ -133,7 +138,7 @@ impl Interpreter {
         }
     }
 
-    fn value(&self, reader: &mut Reader<'_>, at: Position) -> Result<f64, Fault> {
+    fn value(&self, reader: &mut Reader<'_>, at: Position) -> Result<f64, InvalidLine> {
         let scope = self.scope(at);
         let value = reader.value(&scope);
         value
@@ -141,7 +146,7 @@ impl Interpreter {
             .map_err(|wrong| self.unreadable(at, wrong))
     }
 
-    fn bracket(&self, reader: &mut Reader<'_>, at: Position) -> Result<f64, Fault> {
+    fn bracket(&self, reader: &mut Reader<'_>, at: Position) -> Result<f64, InvalidLine> {
         let value = reader.bracket(&self.scope(at));
         value.map_err(|wrong| self.unreadable(at, wrong))
     }
@@ -157,7 +162,7 @@ impl Interpreter {
     }
 
     /// The number of a program: the first begins it, another ends what came before.
-    fn header(&mut self, at: Position) -> Result<(), Fault> {
+    fn header(&mut self, at: Position) -> Result<(), InvalidLine> {
         let first = self.sources[at.source]
             .controls
             .iter()
@@ -175,7 +180,7 @@ impl Interpreter {
         at: Position,
         label: &Label,
         keywords: &[Keyword],
-    ) -> Result<&Control, Fault> {
+    ) -> Result<&Control, InvalidLine> {
         let controls = &self.sources[at.source].controls;
         let from = controls.partition_point(|control| control.line <= at.line);
         controls[from..]
@@ -195,13 +200,13 @@ impl Interpreter {
         at: Position,
         label: &Label,
         keywords: &[Keyword],
-    ) -> Result<(), Fault> {
+    ) -> Result<(), InvalidLine> {
         self.at.line = self.next_control(at, label, keywords)?.line + 1;
         Ok(())
     }
 
     /// Goes on at the branch whose condition holds, or behind the last.
-    fn next_branch(&mut self, at: Position, label: &Label) -> Result<(), Fault> {
+    fn next_branch(&mut self, at: Position, label: &Label) -> Result<(), InvalidLine> {
         let mut from = at;
         loop {
             let branches = [Keyword::ElseIf, Keyword::Else, Keyword::EndIf];
@@ -228,7 +233,7 @@ impl Interpreter {
         at: Position,
         label: &Label,
         reader: &mut Reader<'_>,
-    ) -> Result<(), Fault> {
+    ) -> Result<(), InvalidLine> {
         let holds = self.bracket(reader, at)? != 0.0;
         let open = self
             .frame()
@@ -269,7 +274,7 @@ impl Interpreter {
     }
 
     /// The innermost loop, which must have the label.
-    fn innermost(&mut self, at: Position, label: &Label, word: &str) -> Result<Loop, Fault> {
+    fn innermost(&mut self, at: Position, label: &Label, word: &str) -> Result<Loop, InvalidLine> {
         let open = self
             .frame()
             .loops
@@ -280,7 +285,7 @@ impl Interpreter {
     }
 
     /// The open loop with the label; those in it are given up.
-    fn loop_of(&mut self, at: Position, label: &Label, word: &str) -> Result<Loop, Fault> {
+    fn loop_of(&mut self, at: Position, label: &Label, word: &str) -> Result<Loop, InvalidLine> {
         let loops = &mut self.frame().loops;
         let Some(place) = loops.iter().rposition(|open| open.label == *label) else {
             return Err(self.fault(at, 0, format!("{label} {word} stands in no such loop")));
@@ -289,7 +294,12 @@ impl Interpreter {
         Ok(loops[place].clone())
     }
 
-    fn call(&mut self, at: Position, label: &Label, reader: &mut Reader<'_>) -> Result<(), Fault> {
+    fn call(
+        &mut self,
+        at: Position,
+        label: &Label,
+        reader: &mut Reader<'_>,
+    ) -> Result<(), InvalidLine> {
         let mut arguments = Vec::new();
         while reader.peek() == b'[' {
             arguments.push(self.bracket(reader, at)?);
@@ -308,7 +318,7 @@ impl Interpreter {
     }
 
     /// Where a subprogram begins: in this file, in those read so far, or in a file of its name.
-    fn find_sub(&mut self, at: Position, label: &Label) -> Result<Position, Fault> {
+    fn find_sub(&mut self, at: Position, label: &Label) -> Result<Position, InvalidLine> {
         let order = std::iter::once(at.source).chain(0..self.sources.len());
         for source in order {
             if let Some(line) = self.sources[source].sub(label) {
@@ -355,7 +365,7 @@ impl Interpreter {
         at: Position,
         label: Option<&Label>,
         reader: &mut Reader<'_>,
-    ) -> Result<(), Fault> {
+    ) -> Result<(), InvalidLine> {
         let value = match reader.peek() {
             b'[' => Some(self.bracket(reader, at)?),
             _ => None,
