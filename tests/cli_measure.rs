@@ -1,23 +1,17 @@
 //! `union3d measure`: the files it reads, what it answers, and what it says about files it cannot read.
 
-use std::io::Write;
 use std::path::Path;
-use std::process::{Command, Output, Stdio};
+use std::process::Output;
 
 use serde_json::Value;
 
+#[path = "oracle/program.rs"]
+mod program;
+
+use program::union3d;
+
 fn measure(arguments: &[&str], input: &[u8]) -> Output {
-    let mut child = Command::new(env!("CARGO_BIN_EXE_union3d"))
-        .arg("measure")
-        .args(arguments)
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .expect("the binary runs");
-    // A command that refuses its arguments does not read its input: then this write fails, and that is no matter.
-    let _ = child.stdin.take().expect("piped").write_all(input);
-    child.wait_with_output().expect("it ends")
+    union3d(&[&["measure"], arguments].concat(), input)
 }
 
 /// The `mass_properties` of the input given on standard input.

@@ -26,27 +26,15 @@ use union3d::wire::proto::{
     stream_changes_response as response,
 };
 
-fn command(arguments: &[&str], input: &str) -> Output {
-    let mut child = Command::new(env!("CARGO_BIN_EXE_union3d"))
-        .args(arguments)
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .expect("the binary runs");
-    // A command that refuses its arguments does not read its input: then this write fails, and that is no matter.
-    let _ = child
-        .stdin
-        .take()
-        .expect("piped")
-        .write_all(input.as_bytes());
-    child.wait_with_output().expect("it ends")
-}
+#[path = "oracle/program.rs"]
+mod program;
+
+use program::union3d;
 
 /// Mills a program from standard input: the JSON it prints, and its warnings.
 #[track_caller]
 fn mill(arguments: &[&str], program: &str) -> (Value, String) {
-    let output = command(&[&["mill", "-", "--json"], arguments].concat(), program);
+    let output = union3d(&[&["mill", "-", "--json"], arguments].concat(), program);
     let errors = String::from_utf8(output.stderr).unwrap();
     assert!(output.status.success(), "{errors}");
     (
@@ -57,7 +45,7 @@ fn mill(arguments: &[&str], program: &str) -> (Value, String) {
 
 #[track_caller]
 fn check_refused(arguments: &[&str], program: &str, words: &[&str]) {
-    let output = command(&[&["mill"], arguments].concat(), program);
+    let output = union3d(&[&["mill"], arguments].concat(), program);
     let errors = String::from_utf8_lossy(&output.stderr);
     assert!(!output.status.success(), "{program}");
     assert_eq!(output.stdout, b"", "{program}");
@@ -377,14 +365,14 @@ fn the_cubes_kept_measure_the_same() {
         milled["cubes"].as_u64().unwrap() * 12,
         std::fs::metadata(out).unwrap().len()
     );
-    let measured = command(&["measure", out, "--edge", "3", "--json"], "");
+    let measured = union3d(&["measure", out, "--edge", "3", "--json"], "");
     let measured: Value = serde_json::from_slice(&measured.stdout).unwrap();
     assert_eq!(measured, milled["mass_properties"]);
 }
 
 #[test]
 fn people_get_a_table() {
-    let output = command(&["mill", "-", "--edge", "2"], "G21 G0 X0 Y0 Z0\nG1 X10\n");
+    let output = union3d(&["mill", "-", "--edge", "2"], "G21 G0 X0 Y0 Z0\nG1 X10\n");
     let table = String::from_utf8(output.stdout).unwrap();
     for words in [
         "2 moves, 101 cubes in ",
@@ -532,7 +520,7 @@ fn each_line_is_a_change_and_a_busy_server_is_waited_for() {
         out.to_str().unwrap(),
         "--json",
     ];
-    let output = command(&arguments, "");
+    let output = union3d(&arguments, "");
     assert!(
         output.status.success(),
         "{}",
@@ -580,7 +568,7 @@ fn each_line_is_a_change_and_a_busy_server_is_waited_for() {
         assert_eq!(kept, std::fs::read(&out).unwrap());
     }
     // Into the same scene again: after the ids that are there.
-    let output = command(&arguments, "");
+    let output = union3d(&arguments, "");
     assert!(
         output.status.success(),
         "{}",
@@ -693,7 +681,7 @@ fn a_server_measures_what_is_measured_here() {
             .header("accept", "application/x-ndjson");
         request.send().await.unwrap().text().await.unwrap()
     });
-    let measured = command(&["measure", "-", "--edge", "3", "--json"], &listing);
+    let measured = union3d(&["measure", "-", "--edge", "3", "--json"], &listing);
     let measured: Value = serde_json::from_slice(&measured.stdout).unwrap();
     assert_eq!(measured, here["mass_properties"]);
 
@@ -802,12 +790,12 @@ fn each_line_removes_what_a_calculator_says() {
 #[test]
 fn a_rapid_that_cuts_can_fail_the_run() {
     let arguments = [&["mill", "-", "--fail-on-rapid-cut"], &SLOT_ARGUMENTS[..]].concat();
-    let failed = command(&arguments, SLOT);
+    let failed = union3d(&arguments, SLOT);
     assert_eq!(failed.status.code(), Some(3));
     let report = String::from_utf8(failed.stdout).unwrap();
     assert!(report.contains("1 line: 7 (40 mm^3)\n"), "{report}");
     assert!(report.contains("on line 5"), "{report}");
-    let well = command(&arguments, &SLOT.replace("G0 X20", "G0 Z9"));
+    let well = union3d(&arguments, &SLOT.replace("G0 X20", "G0 Z9"));
     assert_eq!(well.status.code(), Some(0));
     check_refused(
         &["-", "--edge", "2", "--stock", "0,0:1,1,1"],
@@ -834,7 +822,7 @@ fn a_rapid_that_cuts_can_fail_the_run() {
 #[test]
 fn each_rapid_that_cuts_has_its_volume() {
     let program = format!("{SLOT}G0 Y3\n{}", "G1 X19\nG1 X20\n".repeat(75));
-    let output = command(&[&["mill", "-"], &SLOT_ARGUMENTS[..]].concat(), &program);
+    let output = union3d(&[&["mill", "-"], &SLOT_ARGUMENTS[..]].concat(), &program);
     let report = String::from_utf8(output.stdout).unwrap();
     let words = "2 lines: 7 (40 mm^3), 8 (12 mm^3); 52 mm^3 in all\n";
     assert!(report.contains(words), "{report}");
@@ -1086,7 +1074,7 @@ fn mill_while_it_breaks(ends: &[End]) -> (Output, Breaking) {
             .add_service(served)
             .serve_with_incoming(TcpIncoming::from(listener)),
     );
-    let output = command(
+    let output = union3d(
         &[
             "mill", "-", "--json", "--edge", "2", "--grpc", &address, "--scene", "a",
         ],

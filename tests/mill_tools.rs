@@ -6,29 +6,19 @@ use std::process::{Command, Output, Stdio};
 
 use serde_json::Value;
 
-fn union3d(arguments: &[&str], program: &str) -> Output {
-    use std::io::Write;
-    let mut child = Command::new(env!("CARGO_BIN_EXE_union3d"))
-        .args(["mill", "-"])
-        .args(arguments)
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .expect("the binary runs");
-    // A command that refuses its arguments does not read its input: then this write fails, and that is no matter.
-    let _ = child
-        .stdin
-        .take()
-        .expect("piped")
-        .write_all(program.as_bytes());
-    child.wait_with_output().expect("it ends")
+#[path = "oracle/program.rs"]
+mod program;
+
+use program::union3d;
+
+fn run(arguments: &[&str], program: &str) -> Output {
+    union3d(&[&["mill", "-"], arguments].concat(), program)
 }
 
 /// What `--json` says of a program.
 #[track_caller]
 fn mill(arguments: &[&str], program: &str) -> Value {
-    let output = union3d(&[arguments, &["--json"]].concat(), program);
+    let output = run(&[arguments, &["--json"]].concat(), program);
     let errors = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{program}: {errors}");
     serde_json::from_slice(&output.stdout).expect("one JSON object")
@@ -36,7 +26,7 @@ fn mill(arguments: &[&str], program: &str) -> Value {
 
 #[track_caller]
 fn check_refused(arguments: &[&str], program: &str, words: &[&str]) {
-    let output = union3d(arguments, program);
+    let output = run(arguments, program);
     let errors = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{program}: {errors}");
     assert_eq!(output.stdout, b"", "{program}");
@@ -204,9 +194,9 @@ fn holders_and_rapids_that_hit_are_collisions() {
     let bare = mill(&["--tool", "flat:4,length=7", STOCK], deep);
     assert_eq!(removed(&bare).to_bits(), removed(&hit).to_bits());
     let failing = [&arguments[..], &["--fail-on-collision"]].concat();
-    assert_eq!(union3d(&failing, deep).status.code(), Some(3));
+    assert_eq!(run(&failing, deep).status.code(), Some(3));
     let least = [&failing[..], &["--least-volume", "10000"]].concat();
-    assert_eq!(union3d(&least, deep).status.code(), Some(0));
+    assert_eq!(run(&least, deep).status.code(), Some(0));
 
     let plough = "G21 G90\nG0 X0 Y0 Z5\nG1 Z-2 F100\nG0 X20\nG0 Z5\nM2\n";
     let milled = mill(&["--tool", "flat:4", STOCK], plough);
@@ -215,7 +205,7 @@ fn holders_and_rapids_that_hit_are_collisions() {
     assert_eq!(found[0].0, 4);
     assert!((found[0].1 - 160.0).abs() < 1.0, "{found:?}");
     let failing = ["--tool", "flat:4", STOCK, "--fail-on-collision"];
-    assert_eq!(union3d(&failing, plough).status.code(), Some(3));
+    assert_eq!(run(&failing, plough).status.code(), Some(3));
 }
 
 #[test]

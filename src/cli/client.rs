@@ -11,8 +11,8 @@ use union3d::geometry::Place;
 use union3d::wire::convert::{SettingsDocument, StockDocument};
 use union3d::wire::proto::Change;
 
-/// How long a server that cannot be reached, or cannot answer yet, is asked again.
-const PATIENCE: Duration = Duration::from_secs(30);
+/// How long a server that cannot be reached, cannot answer yet, or acknowledges nothing more, is tried again.
+pub(crate) const PATIENCE: Duration = Duration::from_secs(30);
 
 /// Why the server did not do what it was asked.
 #[derive(Debug, thiserror::Error)]
@@ -358,8 +358,8 @@ fn retry_after(answer: &reqwest::Response) -> Duration {
     Duration::from_secs(seconds.unwrap_or(1)).max(Duration::from_millis(100))
 }
 
-/// An error with all that caused it: the outermost alone says little.
-fn causes(error: &dyn std::error::Error) -> String {
+/// The innermost cause of an error: the outermost alone says little.
+pub(crate) fn causes(error: &dyn std::error::Error) -> String {
     let mut text = error.to_string();
     let mut next = error.source();
     while let Some(cause) = next {

@@ -10,7 +10,7 @@ use tonic::transport::{Channel, Endpoint};
 use tonic::{Code, Status, Streaming};
 use uuid::Uuid;
 
-use super::super::client::{SceneWanted, inserted};
+use super::super::client::{PATIENCE, SceneWanted, causes, inserted};
 use super::line::{LineChange, Material};
 use super::tally::Cut;
 use union3d::wire::convert;
@@ -24,9 +24,6 @@ use union3d::wire::proto::{
 
 /// Lines sent ahead of their acknowledgements: as many as the server takes in.
 const LINES_IN_FLIGHT_MAX: usize = 256;
-
-/// How long a server that acknowledges nothing more is tried again.
-const PATIENCE: Duration = Duration::from_secs(30);
 
 /// The first and the longest pause before it is tried again.
 const PAUSE_MIN: Duration = Duration::from_millis(20);
@@ -350,17 +347,6 @@ fn state_of_volumes(volumes: &Volumes) -> Option<Material> {
         removed: removed.unwrap_or(&volumes.exact_union).parse().ok()?,
         area: volumes.exact_area.parse().ok()?,
     })
-}
-
-/// An error with all that caused it: the outermost alone says little.
-fn causes(error: &dyn Error) -> String {
-    let mut text = error.to_string();
-    let mut next = error.source();
-    while let Some(cause) = next {
-        text = cause.to_string();
-        next = cause.source();
-    }
-    text
 }
 
 #[cfg(test)]
