@@ -3,9 +3,11 @@
 use std::f64::consts::TAU;
 use std::fmt::Write;
 
+use crate::random::Random;
+
 /// Writes programs.
 pub(crate) struct Writer {
-    state: u64,
+    random: Random,
     text: String,
     label: u32,
 }
@@ -13,7 +15,7 @@ pub(crate) struct Writer {
 /// A program of some paragraphs.
 pub(crate) fn program(seed: u64) -> String {
     let mut writer = Writer {
-        state: seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1,
+        random: Random::new(seed),
         text: String::new(),
         label: 100,
     };
@@ -27,15 +29,8 @@ pub(crate) fn program(seed: u64) -> String {
 }
 
 impl Writer {
-    fn next(&mut self) -> u64 {
-        self.state ^= self.state << 13;
-        self.state ^= self.state >> 7;
-        self.state ^= self.state << 17;
-        self.state >> 8
-    }
-
     fn below(&mut self, count: u64) -> u64 {
-        self.next() % count
+        self.random.below(count)
     }
 
     fn chance(&mut self, one_in: u64) -> bool {

@@ -7,6 +7,8 @@
 mod grammar;
 mod judge;
 mod motions;
+#[path = "../oracle/random.rs"]
+mod random;
 
 use std::fs;
 use std::path::{Path, PathBuf};
