@@ -1,7 +1,7 @@
 //! `union3d mill`: from a program to the mass properties of what the cutter covers, here and on a server.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::io::{BufRead, BufReader, Write};
+use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::pin::Pin;
 use std::process::{Child, Command, Output, Stdio};
@@ -795,7 +795,7 @@ fn a_rapid_that_cuts_can_fail_the_run() {
     let report = String::from_utf8(failed.stdout).unwrap();
     assert!(report.contains("1 line: 7 (40 mm^3)\n"), "{report}");
     assert!(report.contains("on line 5"), "{report}");
-    let well = union3d(&arguments, &SLOT.replace("G0 X20", "G0 Z9"));
+    let well = union3d(&arguments, SLOT.replace("G0 X20", "G0 Z9"));
     assert_eq!(well.status.code(), Some(0));
     check_refused(
         &["-", "--edge", "2", "--stock", "0,0:1,1,1"],
