@@ -16,9 +16,57 @@ use random::Random;
 use reqwest::{Client, StatusCode};
 use serde_json::{Value, json};
 
-const KILLS: u64 = 60;
 const CLIENTS: u64 = 6;
-const CUBES: u64 = 40;
+
+/// Scenes that a server is killed over.
+#[derive(Clone, Copy)]
+enum Kind {
+    Cubes,
+    Solids,
+}
+
+impl Kind {
+    fn settings(self) -> Value {
+        match self {
+            Self::Cubes => json!({"edge": 3, "steps_per_unit": 1}),
+            Self::Solids => json!({
+                "kind": "solids", "steps_per_unit": 1, "stock": {"min": [10, 10, 10], "max": [90, 80, 75]},
+                "shapes": {"b": {"box": [3, 2, 4]}, "h": {"hull": [[0, 0, 0], [5, 0, 0], [0, 5, 0], [0, 0, 5]]}},
+            }),
+        }
+    }
+
+    /// What its bodies are called.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Cubes => "cubes",
+            Self::Solids => "solids",
+        }
+    }
+
+    /// Bodies that a change inserts.
+    fn batch(self) -> u64 {
+        match self {
+            Self::Cubes => 40,
+            Self::Solids => 3,
+        }
+    }
+
+    /// A body, a function of its id, as it is answered: moderately crowded.
+    fn body(self, id: u64) -> Value {
+        let point = |[x, y, z]: [u64; 3]| json!([x as f64, y as f64, z as f64]);
+        let corner = at(id);
+        match self {
+            Self::Cubes => json!({"id": id, "at": point(corner)}),
+            Self::Solids => {
+                let [x, y, z] = corner;
+                let to = [x + id % 7 + 1, y, z + id % 3];
+                let shape = if id.is_multiple_of(2) { "b" } else { "h" };
+                json!({"id": id, "shape": shape, "from": point(corner), "to": point(to)})
+            }
+        }
+    }
+}
 
 /// A server process; killed when dropped.
 struct Server {
@@ -119,22 +167,22 @@ fn at(id: u64) -> [u64; 3] {
 }
 
 /// Change `generation` of a client: a batch comes, the batch before the last goes.
-fn change(client: u64, generation: u64) -> Value {
+fn change(kind: Kind, client: u64, generation: u64) -> Value {
+    let ids = |generation| (0..kind.batch()).map(move |index| id(client, generation, index));
     let delete: Vec<u64> = match generation.checked_sub(2) {
-        Some(old) if old > 0 => (0..CUBES).map(|index| id(client, old, index)).collect(),
+        Some(old) if old > 0 => ids(old).collect(),
         _ => vec![],
     };
-    let ids = (0..CUBES).map(|index| id(client, generation, index));
-    let insert: Vec<Value> = ids.map(|id| json!({"id": id, "at": at(id)})).collect();
+    let insert: Vec<Value> = ids(generation).map(|id| kind.body(id)).collect();
     json!({"delete": delete, "insert": insert})
 }
 
-/// All ids of a client's cubes after its change `generation`.
-fn cubes_after(client: u64, generation: u64) -> BTreeMap<u64, [u64; 3]> {
+/// All of a client's bodies after its change `generation`.
+fn bodies_after(kind: Kind, client: u64, generation: u64) -> BTreeMap<u64, Value> {
     let batches = [generation.saturating_sub(1), generation];
     let ids = batches.into_iter().filter(|&batch| batch > 0);
-    let ids = ids.flat_map(|batch| (0..CUBES).map(move |index| id(client, batch, index)));
-    ids.map(|id| (id, at(id))).collect()
+    let ids = ids.flat_map(|batch| (0..kind.batch()).map(move |index| id(client, batch, index)));
+    ids.map(|id| (id, kind.body(id))).collect()
 }
 
 /// What a client knows when its server dies.
@@ -146,7 +194,7 @@ struct Known {
 }
 
 /// Sends changes one after the other until the server is gone.
-async fn stream(url: String, client: u64, from: u64, count: Arc<AtomicU64>) -> Known {
+async fn stream(kind: Kind, url: String, client: u64, from: u64, count: Arc<AtomicU64>) -> Known {
     let http = Client::new();
     let mut known = Known {
         acknowledged: from,
@@ -156,7 +204,7 @@ async fn stream(url: String, client: u64, from: u64, count: Arc<AtomicU64>) -> K
         let generation = known.acknowledged + 1;
         let sent = http
             .post(format!("{url}?return=minimal"))
-            .json(&change(client, generation))
+            .json(&change(kind, client, generation))
             .send()
             .await;
         let Ok(answer) = sent else {
@@ -173,41 +221,44 @@ async fn stream(url: String, client: u64, from: u64, count: Arc<AtomicU64>) -> K
     }
 }
 
-/// All cubes of the scene, by client.
-async fn cubes(server: &Server, http: &Client) -> BTreeMap<u64, BTreeMap<u64, [u64; 3]>> {
+/// All bodies of the scene, by client.
+async fn bodies(kind: Kind, server: &Server, http: &Client) -> BTreeMap<u64, BTreeMap<u64, Value>> {
     let answer = http
-        .get(server.scene("/cubes"))
+        .get(server.scene(&format!("/{}", kind.name())))
         .header("accept", "application/x-ndjson")
         .send()
         .await
         .unwrap();
     assert_eq!(answer.status(), StatusCode::OK);
-    let mut cubes: BTreeMap<u64, BTreeMap<u64, [u64; 3]>> = BTreeMap::new();
+    let mut bodies: BTreeMap<u64, BTreeMap<u64, Value>> = BTreeMap::new();
     for line in answer.text().await.unwrap().lines() {
-        let line: Value = serde_json::from_str(line).unwrap();
-        let cube = &line["insert"];
-        let id = cube["id"].as_u64().unwrap();
-        let corner = [0, 1, 2].map(|axis: usize| {
-            let coordinate = cube["at"][axis].as_f64().unwrap();
-            assert!(coordinate >= 0.0 && coordinate.fract() == 0.0);
-            coordinate as u64
-        });
-        let twice = cubes.entry(id >> 48).or_default().insert(id, corner);
+        let mut line: Value = serde_json::from_str(line).unwrap();
+        let body = line["insert"].take();
+        let id = body["id"].as_u64().unwrap();
+        let twice = bodies.entry(id >> 48).or_default().insert(id, body);
         assert!(twice.is_none());
     }
-    cubes
+    bodies
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn nothing_acknowledged_is_lost_and_nothing_is_half_there() {
+    kill_again_and_again(Kind::Cubes, 60).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn no_solid_that_was_acknowledged_is_lost_and_nothing_is_half_there() {
+    kill_again_and_again(Kind::Solids, 20).await;
+}
+
+async fn kill_again_and_again(kind: Kind, kills: u64) {
     let directory = tempfile::tempdir().unwrap();
     let data = directory.path().join("data");
     let http = Client::new();
     let mut server = Server::start(&data);
-    let settings = json!({"edge": 3, "steps_per_unit": 1});
     let made = http
         .put(server.scene(""))
-        .json(&settings)
+        .json(&kind.settings())
         .send()
         .await
         .unwrap();
@@ -215,13 +266,13 @@ async fn nothing_acknowledged_is_lost_and_nothing_is_half_there() {
     // The seed of the moments of death; the rest of the timing is the machine's.
     let mut moments = Random::new(12_345);
     let mut generations = vec![0_u64; CLIENTS as usize];
-    for kill in 1..=KILLS {
+    for kill in 1..=kills {
         let count = Arc::new(AtomicU64::new(0));
         let streams: Vec<_> = (0..CLIENTS)
             .map(|client| {
                 let from = generations[client as usize];
                 let url = server.scene("/changes");
-                tokio::spawn(stream(url, client, from, count.clone()))
+                tokio::spawn(stream(kind, url, client, from, count.clone()))
             })
             .collect();
         let enough = 3 + moments.below(60);
@@ -241,14 +292,14 @@ async fn nothing_acknowledged_is_lost_and_nothing_is_half_there() {
 
         server = Server::start(&data);
         server.ready(&http).await;
-        let found = cubes(&server, &http).await;
+        let found = bodies(kind, &server, &http).await;
         for client in 0..CLIENTS {
             let mine = found.get(&client).cloned().unwrap_or_default();
             let last = acknowledged[client as usize];
             // The change that was under way is there whole or not at all.
             let kept = [last, last + 1]
                 .into_iter()
-                .find(|&generation| mine == cubes_after(client, generation));
+                .find(|&generation| mine == bodies_after(kind, client, generation));
             generations[client as usize] = kept.unwrap_or_else(|| {
                 panic!(
                     "kill {kill}, client {client}: neither change {last} nor {}",
@@ -406,7 +457,7 @@ async fn a_second_server_on_the_same_data_is_refused_and_so_is_an_audit() {
         .await
         .unwrap();
     http.post(server.scene("/changes"))
-        .json(&change(1, 1))
+        .json(&change(Kind::Cubes, 1, 1))
         .send()
         .await
         .unwrap();
@@ -435,7 +486,10 @@ async fn a_full_disk_is_told_with_its_cause_and_heals_when_there_is_space() {
     assert_eq!(made.status(), StatusCode::CREATED);
     let post = |generation: u64| {
         let url = server.scene("/changes");
-        let sent = http.post(url).json(&change(1, generation)).send();
+        let sent = http
+            .post(url)
+            .json(&change(Kind::Cubes, 1, generation))
+            .send();
         async move {
             let answer = sent.await.unwrap();
             (answer.status(), answer.json::<Value>().await.unwrap())
@@ -511,10 +565,11 @@ async fn a_full_disk_is_told_with_its_cause_and_heals_when_there_is_space() {
             );
             tokio::time::sleep(Duration::from_millis(20)).await;
         };
-        let found = cubes(&server, &http).await.remove(&1).unwrap();
+        let mut found = bodies(Kind::Cubes, &server, &http).await;
+        let found = found.remove(&1).unwrap();
         let kept = [generation, generation + 1]
             .into_iter()
-            .find(|&last| found == cubes_after(1, last));
+            .find(|&last| found == bodies_after(Kind::Cubes, 1, last));
         generation = kept.expect("the change that failed is there whole or not at all");
         assert_eq!(now["seq"], json!(generation));
         let audit: Value = http
