@@ -328,9 +328,19 @@ pub(super) async fn delete_cube(
     Path((name, id)): Path<(String, String)>,
     parameters: Parameters,
 ) -> Result<Json<ChangeAnswer>, Problem> {
-    let wanted = Wanted::read(parameters)?;
-    let id = CubeId(request::whole("id", &id)?);
     let (scene, settings) = scenes::open(&app, &name)?;
+    delete(&scene, &settings, &id, parameters).await
+}
+
+/// Deletes one body of a scene of either kind.
+pub(super) async fn delete<K: ShownKind>(
+    scene: &SceneOf<K>,
+    settings: &K::Settings,
+    id: &str,
+    parameters: Parameters,
+) -> Result<Json<ChangeAnswer>, Problem> {
+    let wanted = Wanted::read(parameters)?;
+    let id = CubeId(request::whole("id", id)?);
     let submission = Submission {
         operations: Operations::Named(vec![Op::Delete(id)]),
         counting: Counting::Net,
@@ -338,7 +348,7 @@ pub(super) async fn delete_cube(
         key: None,
     };
     let applied = scene.change(submission).await?;
-    Ok(answer(&scene, &settings, wanted, &applied))
+    Ok(answer(scene, settings, wanted, &applied))
 }
 
 /// What a line inserts into a scene of either kind.

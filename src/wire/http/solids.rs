@@ -11,7 +11,7 @@ use headers::HeaderMapExt;
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::changes::{self, ChangeAnswer, Wanted};
+use super::changes::{self, ChangeAnswer};
 use super::cubes::{CURSOR_MARK, cursor};
 use super::reads::entity_tag;
 use super::request::{
@@ -19,9 +19,8 @@ use super::request::{
     whole,
 };
 use super::{App, scenes};
-use crate::engine::{Cursor, Op};
+use crate::engine::Cursor;
 use crate::geometry::CubeId;
-use crate::service::{Counting, Motion, Operations, Submission};
 use crate::wire::calls;
 use crate::wire::decode;
 use crate::wire::documents::{IdForm, LineOperation};
@@ -182,15 +181,6 @@ pub(super) async fn delete_solid(
     Path((name, id)): Path<(String, String)>,
     parameters: Parameters,
 ) -> Result<Json<ChangeAnswer>, Problem> {
-    let wanted = Wanted::read(parameters)?;
-    let id = CubeId(whole("id", &id)?);
     let (scene, settings) = scenes::open_solids(&app, &name)?;
-    let submission = Submission {
-        operations: Operations::Named(vec![Op::Delete(id)]),
-        counting: Counting::Net,
-        motion: Motion::default(),
-        key: None,
-    };
-    let applied = scene.change(submission).await?;
-    Ok(changes::answer(&scene, &settings, wanted, &applied))
+    changes::delete(&scene, &settings, &id, parameters).await
 }
