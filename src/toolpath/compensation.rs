@@ -22,6 +22,12 @@ use super::path::Motion;
 /// `LinuxCNC`. Within the corner the cutter strays by less than a thousandth of its radius.
 const STRAIGHT_ON: f64 = 0.05;
 
+/// Angles nearer to half a turn than this turn back: the cutter goes around the end of the move. Units: radians.
+///
+/// `LinuxCNC` takes what turns back up to [`STRAIGHT_ON`] for an outside corner between straight moves; an inside corner among them would
+/// be cut away.
+const TURNS_BACK: f64 = 1e-6;
+
 /// Points nearer to each other than this are one. Units: mm.
 const SAME_POINT: f64 = 1e-9;
 
@@ -153,7 +159,7 @@ impl Compensator {
         if corner_angle.abs() < STRAIGHT_ON {
             from = held.to;
             self.release(held, held.to, out);
-        } else if corner_angle > 0.0 && corner_angle < std::f64::consts::PI - STRAIGHT_ON {
+        } else if corner_angle > 0.0 && corner_angle < std::f64::consts::PI - TURNS_BACK {
             from = self.crossing(&held, &piece, to)?;
             self.release(held, from, out);
         } else {

@@ -31,8 +31,8 @@ const DIFFERENCES: [(&str, &str); 23] = [
         "after T, M6 and G43 on one line the stand-alone judge takes the tip to be as high as before",
     ),
     (
-        "program: random 203",
-        "of the two points where the paths beside two arcs cross, the one far from the corner is taken there",
+        "program: random 262",
+        "an outside corner between a line and an arc that nearly turns back is taken for an inside one there",
     ),
     (
         "ours: only the axes X, Y and Z",
