@@ -722,6 +722,16 @@ fn cutter_compensation_leaves_the_part_whole() {
          6 feed -10 -2 -2 F100
          7 feed -10 -10 -2 F100",
     );
+    // An inside corner that nearly turns back ends where the cutter touches both sides, and not around its point.
+    check_with(
+        options(),
+        "G21 G0 X-10 Y0 Z-2\nG41 D4 G1 X0 Y0 F100\nX200\nX0 Y8\nG40 X0 Y30",
+        "1 rapid -10 0 -2
+         2 feed 0 2 -2 F100
+         3 feed 99.960016 2 -2 F100
+         4 feed -0.079936 6.001598 -2 F100
+         5 feed 0 30 -2 F100",
+    );
     for (program, words) in [
         ("G41 D5 G1 X1", "diameter of tool 5 is not known"),
         ("G41 D4 G1 X1", "shorter than the cutter's radius"),
