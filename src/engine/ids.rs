@@ -110,14 +110,14 @@ impl IdTable {
 
     /// Prefetches the slot where the search for an id begins.
     #[inline]
-    pub fn prefetch(&self, id: CubeId) {
+    pub(super) fn prefetch(&self, id: CubeId) {
         let mixed = mix(id);
         let shard = &self.shards[shard_of(mixed)];
         prefetch(&shard.slots, shard.home(mixed));
     }
 
     /// Makes room for about so many more cubes at once, instead of step by step.
-    pub fn reserve(&mut self, more: usize) {
+    pub(super) fn reserve(&mut self, more: usize) {
         // Shards do not fill alike: by a sixteenth more or less at most, nearly always, from so many cubes on.
         if more >= SHARDS * 1024 {
             for shard in &mut self.shards {

@@ -50,7 +50,7 @@ use grid::{CUBES_A_STEP, Grid};
 pub use ids::{Cursor, IdTable};
 use kernel::{Kernel, Span};
 use neighbours::Neighbours;
-pub use prefetch::AHEAD;
+use prefetch::AHEAD;
 
 /// One operation on a scene's set of bodies (cubes, known by their places).
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]

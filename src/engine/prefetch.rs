@@ -1,7 +1,7 @@
 //! Prefetching memory that will be needed soon, so that the waits for several places overlap.
 
 /// How many cubes ahead of the one at hand memory is prefetched.
-pub const AHEAD: usize = 8;
+pub(super) const AHEAD: usize = 8;
 
 /// Prefetches the memory of an element; nothing happens when there is none of that index.
 #[inline]

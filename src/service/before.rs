@@ -37,27 +37,6 @@ impl<K: SceneKind> Before<K> {
         self.absent.clear();
     }
 
-    /// How many bodies are noted.
-    pub(super) fn len(&self) -> usize {
-        self.there.len() + self.absent.len()
-    }
-
-    /// Makes room for a change that deletes and inserts about so many.
-    pub(super) fn reserve(&mut self, deleted: usize, inserted: usize) {
-        self.there.reserve(deleted);
-        self.absent.reserve(inserted);
-    }
-
-    /// Prefetches what noting a body that a change deletes begins with.
-    pub(super) fn prefetch_deleted(&self, id: CubeId) {
-        self.there.prefetch(id);
-    }
-
-    /// Prefetches what noting a body that a change inserts begins with.
-    pub(super) fn prefetch_inserted(&self, id: CubeId) {
-        self.absent.prefetch(id);
-    }
-
     pub(super) fn is_empty(&self) -> bool {
         self.there.is_empty() && self.absent.is_empty()
     }

@@ -18,7 +18,7 @@ use super::kind::SceneKind;
 use super::solids::Solids;
 use super::{Published, Seq};
 use crate::engine::solids::{Around, Body};
-use crate::engine::{AHEAD, Access, Cursor, Held, Side};
+use crate::engine::{Access, Cursor, Held, Side};
 use crate::geometry::convex::Point;
 use crate::geometry::{CubeId, Effect, Place};
 use crate::log::Cubes;
@@ -60,9 +60,6 @@ impl<K: SceneKind> Default for Ahead<K> {
     }
 }
 
-/// Bodies whose room is kept when they are forgotten: some half a megabyte, twice.
-const ROOM_KEPT_MAX: usize = 16_384;
-
 /// Bodies of an effect that one step notes.
 const NOTED_A_STEP: usize = 256;
 
@@ -102,7 +99,7 @@ impl<K: SceneKind> BodySet<K> {
         let fits = if K::applies_at_once(effect) {
             self.write(|state| {
                 state.is_whole = false;
-                state.ahead.note(&effect.deleted, &effect.inserted);
+                state.note(&effect.deleted, &effect.inserted);
                 let fits = K::apply(&mut state.engine, effect);
                 state.is_whole = true;
                 fits
@@ -123,27 +120,18 @@ impl<K: SceneKind> BodySet<K> {
             show();
         });
         // While others read already.
-        spare.clear();
+        spare.before.clear();
+        K::clear_near(&mut spare.near);
     }
 
-    /// Notes a large effect before it is applied: beside the state when nothing is on its way, and then in one step; else in many short
-    /// ones. What is noted of a body is true as long as nothing is applied, so readers may come in between.
+    /// Notes a large effect before it is applied, in short steps. What is noted of a body is true as long as nothing is applied, so
+    /// readers may come in between.
     fn note(&self, effect: &Effect<K::Body>) {
-        // Only the writer, which is here, puts something on its way.
-        if self.state.read().ahead.before.is_empty() {
-            let mut spare = self.spare.lock();
-            let Effect { deleted, inserted } = effect;
-            spare.before.reserve(deleted.len(), inserted.len());
-            spare.note(deleted, inserted);
-            self.write(|state| std::mem::swap(&mut state.ahead, &mut spare));
-            spare.clear();
-            return;
-        }
         for some in effect.deleted.chunks(NOTED_A_STEP) {
-            self.write(|state| state.ahead.note(some, &[]));
+            self.write(|state| state.note(some, &[]));
         }
         for some in effect.inserted.chunks(NOTED_A_STEP) {
-            self.write(|state| state.ahead.note(&[], some));
+            self.write(|state| state.note(&[], some));
         }
     }
 
@@ -191,32 +179,16 @@ impl<K: SceneKind> Access<K::Engine> for BodySet<K> {
     }
 }
 
-impl<K: SceneKind> Ahead<K> {
+impl<K: SceneKind> State<K> {
     fn note(&mut self, deleted: &[(CubeId, K::Body)], inserted: &[(CubeId, K::Body)]) {
-        let Self { before, near } = self;
-        for (at, (id, body)) in deleted.iter().enumerate() {
-            if let Some((later, _)) = deleted.get(at + AHEAD) {
-                before.prefetch_deleted(*later);
-            }
+        let Ahead { before, near } = &mut self.ahead;
+        for (id, body) in deleted {
             if before.note_deleted(*id, body.clone()) {
                 K::note_near(near, *id, body);
             }
         }
-        for (at, (id, body)) in inserted.iter().enumerate() {
-            if let Some((later, _)) = inserted.get(at + AHEAD) {
-                before.prefetch_inserted(*later);
-            }
+        for (id, body) in inserted {
             before.note_inserted(*id, body.clone());
-        }
-    }
-
-    /// Forgets all, and keeps the room of a small change.
-    fn clear(&mut self) {
-        if self.before.len() > ROOM_KEPT_MAX {
-            *self = Self::default();
-        } else {
-            self.before.clear();
-            K::clear_near(&mut self.near);
         }
     }
 }

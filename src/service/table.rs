@@ -17,15 +17,6 @@ pub trait Table<Body>: Default + Send + Sync + 'static {
     /// Whether there is no body.
     fn is_empty(&self) -> bool;
 
-    /// Number of bodies.
-    fn len(&self) -> usize;
-
-    /// Makes room for about so many more bodies.
-    fn reserve(&mut self, _more: usize) {}
-
-    /// Prefetches what inserting this id, or looking it up, begins with.
-    fn prefetch(&self, _id: CubeId) {}
-
     /// Removes all bodies; may keep their room.
     fn clear(&mut self);
 
@@ -44,18 +35,6 @@ impl Table<Place> for IdTable {
 
     fn is_empty(&self) -> bool {
         self.is_empty()
-    }
-
-    fn len(&self) -> usize {
-        self.len()
-    }
-
-    fn reserve(&mut self, more: usize) {
-        self.reserve(more);
-    }
-
-    fn prefetch(&self, id: CubeId) {
-        self.prefetch(id);
     }
 
     fn clear(&mut self) {
@@ -83,10 +62,6 @@ impl<Body: Clone + Send + Sync + 'static> Table<Body> for BTreeMap<Cursor, (Cube
 
     fn is_empty(&self) -> bool {
         self.is_empty()
-    }
-
-    fn len(&self) -> usize {
-        self.len()
     }
 
     fn clear(&mut self) {
