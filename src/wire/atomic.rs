@@ -49,7 +49,8 @@ pub(super) trait ChangedKind: ShownKind {
         operations_max: usize,
     ) -> Result<(), Problem>;
 
-    /// The index and the problem of an operation whose id the scene has with another body, or the error that it is.
+    /// The problem of an operation whose id the scene has with another body; any other error is given back. `pointer` gives the place of an
+    /// operation in what was sent.
     fn conflict(
         error: ServiceError,
         settings: &Self::Settings,

@@ -292,9 +292,9 @@ impl UnionService for Calls {
             let detail = Detail::of(request.detail)?;
             let key = idempotency_key(request.idempotency_key.as_deref())?;
             let run = if request.dry_run { Run::Dry } else { Run::Real };
-            if run == Run::Dry && key.is_some() {
+            if let (Run::Dry, Some(key)) = (run, &key) {
                 let detail = "is not taken with a dry run, of which nothing is kept";
-                return Err(Fault::in_parameter("idempotency_key", detail, "").into());
+                return Err(Fault::in_parameter("idempotency_key", detail, key).into());
             }
             let sent = Sent::Message(Box::new(request.change.unwrap_or_default()));
             let outcome = match calls::open_any(&self.service, &request.scene)? {

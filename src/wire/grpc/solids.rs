@@ -14,11 +14,8 @@ use crate::wire::proto::shape::Form;
 use crate::wire::solids::{
     BoxDocument, CornersDocument, CutterDocument, ErrorBounds, ExactSolids, FitName, FixedPoint,
     PolygonError, Scale, ShapeDocument, SolidDocument, SolidMeasures, SolidSceneSettings,
-    SolidSettingsDocument,
+    SolidSettingsDocument, default_sides,
 };
-
-/// Sides of a polygon when a message does not say.
-const SIDES: u16 = 32;
 
 /// The settings that a message asks for; what it cannot mean is noted.
 pub(super) fn wanted(
@@ -78,7 +75,7 @@ pub(super) fn shape(
         Form::Parts(message) => {
             let parts = message.shapes.iter().enumerate();
             let read = parts.filter_map(|(index, part)| {
-                // As deep as it may be, and no deeper than a message says.
+                // Refused here, before it is gone into, so that a message cannot nest as deep as it likes.
                 if let Some(Form::Parts(_)) = part.form {
                     let detail = "has parts of its own, and is a part itself";
                     faults.push(Fault::at(format!("{pointer}/parts/{index}"), detail, None));
@@ -121,7 +118,7 @@ fn cutter(message: &proto::Cutter, pointer: &str, faults: &mut Faults) -> Cutter
         tip: message.tip,
         angle: message.angle,
         rings,
-        sides: sides.unwrap_or(SIDES),
+        sides: sides.unwrap_or_else(default_sides),
         polygon,
         at: message.at.map_or([0.0; 3], Into::into),
     }

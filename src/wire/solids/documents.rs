@@ -96,7 +96,8 @@ pub struct CutterDocument {
     pub at: [f64; 3],
 }
 
-fn default_sides() -> u16 {
+/// Sides of a polygon unless said.
+pub(in crate::wire) fn default_sides() -> u16 {
     32
 }
 

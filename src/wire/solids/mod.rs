@@ -20,6 +20,7 @@ mod stl;
 pub use self::body::{Shapes, body};
 pub use self::change::SolidChange;
 pub(in crate::wire) use self::change::{decoded, operation};
+pub(in crate::wire) use self::documents::default_sides;
 pub use self::documents::{
     BoxDocument, CornersDocument, CutterDocument, FitName, ShapeDocument, SolidDocument,
 };

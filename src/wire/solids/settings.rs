@@ -145,7 +145,7 @@ pub(in crate::wire) struct NewSolids {
     pub(in crate::wire) shapes: Vec<NamedShape>,
 }
 
-/// A shape with its name, as it is stored with the scene and answered.
+/// A shape as it is stored with the scene and answered.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub(in crate::wire) struct DefinedShape {
     /// As it can be sent again.
