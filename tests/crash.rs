@@ -30,7 +30,7 @@ impl Kind {
         match self {
             Self::Cubes => json!({"edge": 3, "steps_per_unit": 1}),
             Self::Solids => json!({
-                "kind": "solids", "steps_per_unit": 1, "stock": {"min": [10, 10, 10], "max": [90, 80, 75]},
+                "kind": "solids", "steps_per_unit": 1, "stock": {"hull": [[10, 10, 10], [90, 10, 10], [10, 80, 10], [90, 80, 10], [20, 20, 75], [80, 20, 75], [20, 70, 75]]},
                 "shapes": {"b": {"box": [3, 2, 4]}, "h": {"hull": [[0, 0, 0], [5, 0, 0], [0, 5, 0], [0, 0, 5]]}},
             }),
         }

@@ -3,10 +3,10 @@
 use std::sync::Arc;
 
 use serde_json::{Value, json};
-use union3d::engine::solids::{Body, Engine, Op, SolidId};
+use union3d::engine::solids::{Body, Engine, Op, Shape, SolidId};
 use union3d::geometry::convex::{Point, Solid};
 use union3d::wire::solids::{
-    Scale, Shapes, SolidProperties, body, shape, solid_properties, stl_body,
+    Scale, ShapeDocument, Shapes, SolidProperties, body, shape, solid_properties, stl_body,
 };
 
 fn scale() -> Scale {
@@ -137,6 +137,25 @@ fn a_polygon_says_how_far_it_is_from_the_circle() {
     let [outside, inside] = read("equal_area");
     assert!((0.0085..0.011).contains(&outside), "{outside}");
     assert!((0.004..0.0065).contains(&inside), "{inside}");
+}
+
+#[test]
+fn a_top_is_that_of_the_engine() {
+    for (document, top) in [(json!(4.5), 4500), (json!(-3.0004), -3000)] {
+        let document = json!({"box": [1, 2, 3], "top": document});
+        let read = shape(&serde_json::from_value(document.clone()).unwrap(), scale()).unwrap();
+        let corner = Point::new([1000, 2000, 3000]).unwrap();
+        let cuboid = Solid::cuboid(Point::ORIGIN, corner).unwrap();
+        let shape = Shape::new(vec![cuboid]).unwrap().with_top(top);
+        assert_eq!(read.shape, shape, "{document}");
+    }
+    for wrong in [
+        json!({"top": 3}),
+        json!({"box": [1, 1, 1], "hull": []}),
+        json!({"box": [1, 1, 1], "top": 1, "bottom": 2}),
+    ] {
+        serde_json::from_value::<ShapeDocument>(wrong.clone()).expect_err(&wrong.to_string());
+    }
 }
 
 #[test]

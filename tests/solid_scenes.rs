@@ -7,9 +7,9 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use union3d::engine::Op;
-use union3d::engine::solids::{self, Body, Shape, recount};
+use union3d::engine::solids::{Body, Shape, Stock, recount};
+use union3d::geometry::CubeId;
 use union3d::geometry::convex::{Point, Solid};
-use union3d::geometry::{CubeId, Stock};
 use union3d::log::LogError;
 use union3d::service::{
     AnyAudit, Applied, Counting, FailHook, FailPoint, Motion, NamedShape, Offline, Operations,
@@ -136,21 +136,28 @@ fn random_change(
     (ops, after)
 }
 
-/// The stock of a scene as the engine takes it.
-fn block(stock: Option<Stock>) -> Option<solids::Stock> {
-    let corner = |at: [i32; 3]| at.map(i64::from);
-    stock.map(|stock| {
-        let bounds = stock.bounds();
-        solids::Stock::new(cuboid(corner(bounds.min), corner(bounds.max))).unwrap()
-    })
+/// None, a box and a wedge with a slanted side.
+fn stocks() -> [Option<Stock>; 3] {
+    let wedge = [
+        [0, 1, 0],
+        [6, 1, 0],
+        [0, 5, 0],
+        [6, 5, 0],
+        [1, 1, 5],
+        [1, 5, 5],
+    ]
+    .map(point);
+    let solids = [cuboid([1; 3], [5, 5, 4]), Solid::hull(&wedge).unwrap()];
+    let [block, wedge] = solids.map(|solid| Stock::new(solid).unwrap());
+    [None, Some(block), Some(wedge)]
 }
 
 /// What the scene answers is what its bodies come to.
-async fn assert_holds(scene: &SolidScene, stock: Option<Stock>, bodies: &Bodies) {
+async fn assert_holds(scene: &SolidScene, stock: &Option<Stock>, bodies: &Bodies) {
     let published = scene.published().unwrap();
     assert_eq!(
         published.totals.union,
-        recount(block(stock), bodies.values().cloned())
+        recount(stock.clone(), bodies.values().cloned())
     );
     let (_, mut listed) = scene.bodies().await.unwrap();
     listed.sort_unstable_by_key(|(id, _)| *id);
@@ -164,7 +171,7 @@ async fn assert_holds(scene: &SolidScene, stock: Option<Stock>, bodies: &Bodies)
 /// and the audit of the files are those of the plain list.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn every_state_is_what_its_changes_made() {
-    for seed in 1..=3 {
+    for (seed, stock) in (1..).zip(stocks()) {
         let mut random = Random::new(seed);
         let directory = tempfile::tempdir().unwrap();
         let config = || ServiceConfig {
@@ -173,9 +180,8 @@ async fn every_state_is_what_its_changes_made() {
             ..config(directory.path())
         };
         let mut service = Service::start(config()).unwrap();
-        // Every other scene is cut from a block of material.
-        let stock = (seed % 2 == 0).then(|| Stock::new([1, 1, 1], [5, 5, 4]).unwrap());
-        let mut scene = create(&service, stock).await;
+        let stock = &stock;
+        let mut scene = create(&service, stock.clone()).await;
         let mut states: Vec<Bodies> = vec![Bodies::new()];
         for step in 0..60 {
             let context = scene.context().unwrap();
@@ -217,7 +223,7 @@ async fn every_state_is_what_its_changes_made() {
             let totals = scene.at(Seq(seq)).await.unwrap().totals;
             assert_eq!(
                 totals.union,
-                recount(block(stock), bodies.values().cloned()),
+                recount(stock.clone(), bodies.values().cloned()),
                 "seq {seq}"
             );
         }
@@ -322,7 +328,7 @@ async fn a_failed_write_loses_nothing_that_was_acknowledged() {
         let retried = change(&scene, &second).await;
         assert_eq!(retried.published.seq, Seq(2));
         let expected = Bodies::from([(CubeId(1), body(0)), (CubeId(2), body(3))]);
-        assert_holds(&scene, None, &expected).await;
+        assert_holds(&scene, &None, &expected).await;
         service.shutdown().await;
     }
 }
@@ -330,9 +336,15 @@ async fn a_failed_write_loses_nothing_that_was_acknowledged() {
 /// Whichever byte of the files is flipped: the scene is refused, or what it answers is right.
 #[tokio::test]
 async fn damage_is_refused_and_never_gives_a_wrong_total() {
+    for stock in stocks() {
+        damaged(stock).await;
+    }
+}
+
+async fn damaged(stock: Option<Stock>) {
     let directory = tempfile::tempdir().unwrap();
     let service = Service::start(config(directory.path())).unwrap();
-    let scene = create(&service, None).await;
+    let scene = create(&service, stock).await;
     let mut random = Random::new(1);
     let context = scene.context().unwrap();
     let shapes: Vec<_> = context.iter().map(|named| named.shape.clone()).collect();
@@ -368,4 +380,51 @@ async fn damage_is_refused_and_never_gives_a_wrong_total() {
         }
     }
     assert!(refused > 10, "only {refused} were refused");
+}
+
+/// The files of a scene say which version of their layout they need, so that a program that does not know it refuses them as newer than
+/// itself: a stock that is no box needs a newer one, all else the oldest that there is.
+#[tokio::test]
+async fn a_stock_that_is_no_box_needs_a_newer_program() {
+    let corners = |far: i64| {
+        let corner = |number: i64| point([0, 1, 2].map(|axis| far * (number >> axis & 1)));
+        let corners: Vec<Point> = (0..8).map(corner).collect();
+        Stock::new(Solid::hull(&corners).unwrap()).unwrap()
+    };
+    let [_, block, wedge] = stocks();
+    for (stock, format) in [(None, 4), (block, 4), (Some(corners(3)), 4), (wedge, 5)] {
+        let directory = tempfile::tempdir().unwrap();
+        let service = Service::start(config(directory.path())).unwrap();
+        let scene = create(&service, stock.clone()).await;
+        let body = Body::solid(cuboid([0; 3], [3; 3]));
+        change(&scene, &[Op::Insert(CubeId(1), body)]).await;
+        let expected = scene.published().unwrap();
+        drop(scene);
+        service.shutdown().await;
+        let data = directory.path().join("data");
+        let file = data.join("scenes/part/scene.sqlite");
+        let mut bytes = fs::read(&file).unwrap();
+        // SQLite's user version.
+        assert_eq!(bytes[60..64], i32::to_be_bytes(format), "{stock:?}");
+
+        let service = Service::start(config(directory.path())).unwrap();
+        let scene = running(&service);
+        assert_eq!(scene.published().unwrap().totals, expected.totals);
+        // It is there with this stock, and with no other.
+        let again = service.create_solids(&name(), stock, &[], "{}").await;
+        assert!(!again.unwrap().1);
+        let other = service
+            .create_solids(&name(), Some(corners(7)), &[], "{}")
+            .await;
+        assert!(matches!(other, Err(ServiceError::SceneExists { .. })));
+        drop(scene);
+        service.shutdown().await;
+
+        bytes = [&bytes[..60], &i32::to_be_bytes(6), &bytes[64..]].concat();
+        fs::write(&file, bytes).unwrap();
+        let offline = Offline::open(&data).unwrap();
+        let refused = offline.audit(&name(), &mut |_| ()).unwrap_err();
+        assert!(matches!(refused, LogError::Foreign { .. }), "{refused}");
+        assert!(refused.to_string().contains("of format 6"), "{refused}");
+    }
 }

@@ -30,7 +30,7 @@ impl Database {
     /// Fills an empty directory with the database of a scene without changes, and closes it.
     pub(super) fn create<K: Kind>(
         site: &Site,
-        meta: &Meta,
+        meta: &Meta<K>,
         definitions: &[Box<[u8]>],
     ) -> Result<(), LogError> {
         let flags = OpenFlags::SQLITE_OPEN_READ_WRITE
@@ -46,7 +46,11 @@ impl Database {
             // Both can only be chosen for an empty file; incremental so that `trim` can give pages back.
             connection.pragma_update(None, "auto_vacuum", "INCREMENTAL")?;
             connection.pragma_update(None, "application_id", APPLICATION_ID)?;
-            connection.pragma_update(None, "user_version", K::FORMAT)?;
+            connection.pragma_update(
+                None,
+                "user_version",
+                K::format(meta.header.stock.as_ref()),
+            )?;
             configure_writer(&connection)?;
             let transaction = connection.unchecked_transaction()?;
             for (_, table) in tables(K::DEFINES) {
@@ -73,7 +77,7 @@ impl Database {
     }
 
     /// Opens the database of a scene and checks everything but its rows.
-    pub(super) fn open<K: Kind>(site: Site) -> Result<(Self, Meta), LogError> {
+    pub(super) fn open<K: Kind>(site: Site) -> Result<(Self, Meta<K>), LogError> {
         let seq = site.marked_seq();
         let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let connection = Connection::open_with_flags(&site.database, flags);
@@ -85,7 +89,7 @@ impl Database {
             .map_err(site.sqlite(seq))?;
         check_settings(&site, &connection, seq)?;
         check_schema::<K>(&site, &connection, seq)?;
-        let meta = Meta::read(&connection)
+        let meta = Meta::<K>::read(&connection)
             .map_err(site.sqlite(seq))?
             .map_err(|error| site.damaged(seq, format_args!("its settings: {error}")))?;
         let seal = meta.seal();

@@ -15,6 +15,7 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
+use super::kind::Kind;
 use super::{LogError, Seq};
 
 /// Names of directories that are being made or removed start with this; no scene's name does.
@@ -147,7 +148,7 @@ impl Site {
 
     /// Checks the start of the database file before SQLite sees it: SQLite would take an empty file for a new database and
     /// delete its write-ahead file. Answers the size of a page.
-    pub(super) fn check_database_header(&self, format: i32) -> Result<usize, LogError> {
+    pub(super) fn check_database_header<K: Kind>(&self) -> Result<usize, LogError> {
         let mut bytes = Vec::new();
         File::open(&self.database)
             .and_then(|file| {
@@ -173,10 +174,12 @@ impl Site {
                 "not the log of a union3d scene, or damaged in its first bytes".to_owned(),
             ));
         }
-        if number(60) != format {
+        if !K::FORMATS.contains(&number(60)) {
+            let known: Vec<String> = K::FORMATS.map(|format| format.to_string()).collect();
             return Err(self.foreign(format!(
-                "the log is of format {}, this program knows {format}",
-                number(60)
+                "the log is of format {}, this program knows {}",
+                number(60),
+                known.join(" and ")
             )));
         }
         // 2 and 2: read and written with a write-ahead file.
@@ -204,12 +207,15 @@ impl Site {
     }
 }
 
-/// The format of the log in a directory: which kind of scene it is of. None when its file cannot be read or does not tell.
-pub fn format_of(directory: &Path) -> Option<i32> {
-    let mut header = [0; HEADER_SIZE];
-    let mut file = fs::File::open(Site::new(directory).database).ok()?;
-    file.read_exact(&mut header).ok()?;
-    Some(i32::from_be_bytes(*header[60..].first_chunk()?))
+/// Whether the log in a directory is of a scene of this kind, by its format. False when its file cannot be read or does not tell.
+pub fn is_of<K: Kind>(directory: &Path) -> bool {
+    let format = || {
+        let mut header = [0; HEADER_SIZE];
+        let mut file = fs::File::open(Site::new(directory).database).ok()?;
+        file.read_exact(&mut header).ok()?;
+        Some(i32::from_be_bytes(*header[60..].first_chunk()?))
+    };
+    format().is_some_and(|format| K::FORMATS.contains(&format))
 }
 
 /// How far the log had come when something was last answered for.

@@ -3,7 +3,7 @@
 use std::io::Read;
 
 use super::codec::{self, Encoder};
-use super::kind::Cubes;
+use super::kind::{Cubes, Kind};
 use super::totals;
 use super::wal::{self, WriteAhead};
 use crate::geometry::Edge;
@@ -27,8 +27,9 @@ pub fn codec(bytes: &[u8]) {
             }
         }
         b's' => {
-            if let Ok(stock) = totals::stock(body) {
-                assert_eq!(totals::stock(&totals::stock_bytes(stock)), Ok(stock));
+            if let Ok(stock) = Cubes::read_stock(body) {
+                Cubes::put_stock(&mut again, &stock);
+                assert_eq!(Cubes::read_stock(&again), Ok(stock));
             }
         }
         _ => {

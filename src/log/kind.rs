@@ -3,12 +3,13 @@
 //! Everything else (which rows there are, their CRCs, replay, snapshots, history, keys) is the same, and knows a kind by this trait alone.
 
 use std::fmt;
+use std::ops::RangeInclusive;
 
 use super::Header;
 use super::bytes::{Malformed, Reader};
 use super::columns::{ColumnReader, ColumnWriter};
 use super::totals;
-use crate::geometry::{CubeId, Edge, Place, Totals};
+use crate::geometry::{CubeId, Edge, Place, Stock, Totals};
 
 /// A kind of scene, as its log knows it.
 pub trait Kind: Copy + Eq + fmt::Debug + Send + Sync + 'static {
@@ -18,9 +19,11 @@ pub trait Kind: Copy + Eq + fmt::Debug + Send + Sync + 'static {
     type Totals: Copy + Eq + fmt::Debug + Send + Sync + 'static;
     /// What it takes to read bodies.
     type Context: Clone + fmt::Debug + Send + Sync + 'static;
+    /// A block of material that bodies are cut from.
+    type Stock: Clone + Eq + fmt::Debug + Send + Sync + 'static;
 
-    /// Version of the layout of its files. A change that an older program would misread needs a new one.
-    const FORMAT: i32;
+    /// Versions of the layout of its files. What an older program would misread needs a new one.
+    const FORMATS: RangeInclusive<i32>;
     /// Whether its context grows by definitions, which are rows of a table of their own.
     const DEFINES: bool;
     /// Most bytes that a body takes in a record, its id apart.
@@ -28,10 +31,22 @@ pub trait Kind: Copy + Eq + fmt::Debug + Send + Sync + 'static {
     /// Bodies of a full chunk: what replay holds in memory at a time.
     const CHUNK_BODIES: usize;
 
+    /// The oldest version that holds a scene with this stock: a program that does not know it refuses the scene as newer than itself, and
+    /// those that do go on opening all others.
+    fn format(stock: Option<&Self::Stock>) -> i32;
+
+    /// Appends a stock, which takes at least a byte.
+    fn put_stock(to: &mut Vec<u8>, stock: &Self::Stock);
+
+    /// The stock that [`Kind::put_stock`] wrote.
+    /// # Errors
+    /// Whatever is not that.
+    fn read_stock(bytes: &[u8]) -> Result<Self::Stock, Malformed>;
+
     /// What bodies stand on before anything is defined.
     /// # Errors
     /// What the header says that no scene of this kind has, in words.
-    fn context(header: &Header) -> Result<Self::Context, String>;
+    fn context(header: &Header<Self>) -> Result<Self::Context, String>;
 
     /// Adds a definition to what bodies stand on.
     /// # Errors
@@ -69,7 +84,7 @@ pub trait Kind: Copy + Eq + fmt::Debug + Send + Sync + 'static {
     fn read_totals(reader: &mut Reader<'_>) -> Result<Self::Totals, Malformed>;
 
     /// The totals of a scene without bodies.
-    fn nothing(header: &Header) -> Self::Totals;
+    fn nothing(header: &Header<Self>) -> Self::Totals;
 }
 
 /// A body with its id.
@@ -86,11 +101,24 @@ impl Kind for Cubes {
     type Body = Place;
     type Totals = Totals;
     type Context = Edge;
+    type Stock = Stock;
 
-    const FORMAT: i32 = 3;
+    const FORMATS: RangeInclusive<i32> = 3..=3;
     const DEFINES: bool = false;
     const BODY_BYTES_MAX: usize = 3 * COORDINATE_BYTES_MAX;
     const CHUNK_BODIES: usize = 1 << 16;
+
+    fn format(_: Option<&Stock>) -> i32 {
+        3
+    }
+
+    fn put_stock(to: &mut Vec<u8>, stock: &Stock) {
+        totals::put_bounds(to, &stock.bounds());
+    }
+
+    fn read_stock(bytes: &[u8]) -> Result<Stock, Malformed> {
+        totals::stock(bytes)
+    }
 
     fn context(header: &Header) -> Result<Edge, String> {
         Edge::new(i64::from(header.edge_steps)).map_err(|invalid| invalid.to_string())

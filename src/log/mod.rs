@@ -39,13 +39,13 @@ mod wal;
 
 use std::path::PathBuf;
 
-use crate::geometry::{CubeId, Effect, Stock};
+use crate::geometry::{CubeId, Effect};
 
 pub use bytes::{Malformed, Reader};
 pub(crate) use bytes::{put_signed, put_varint};
 pub use codec::RECORD_CUBES_MAX;
 pub use columns::{ColumnReader, ColumnWriter};
-pub use files::{TEMPORARY_PREFIX, create_directories, format_of, remove_leftovers, remove_scene};
+pub use files::{TEMPORARY_PREFIX, create_directories, is_of, remove_leftovers, remove_scene};
 pub use history::HistoryReader;
 pub(crate) use kind::COORDINATE_BYTES_MAX;
 pub use kind::{Cubes, Kind};
@@ -126,13 +126,13 @@ pub struct KeyRecord<K: Kind = Cubes> {
 
 /// What is fixed when a scene is created.
 #[derive(Clone, PartialEq, Eq, Debug)]
-pub struct Header {
+pub struct Header<K: Kind = Cubes> {
     /// Random name of this life of the scene: differs when a scene is dropped and created again.
     pub incarnation: u64,
     /// Edge in steps; 0 where bodies are no cubes.
     pub edge_steps: u32,
     /// The material that is cut, if any.
-    pub stock: Option<Stock>,
+    pub stock: Option<K::Stock>,
     /// The settings as the wire wrote them; opaque here.
     pub settings: String,
 }

@@ -26,7 +26,7 @@ use crate::geometry::Effect;
 /// not answered for may turn out to be there after all, whole, as with any commit whose answer was lost.
 pub struct Log<K: Kind> {
     pub(super) database: Database,
-    pub(super) meta: Meta,
+    pub(super) meta: Meta<K>,
     /// What bodies stand on.
     pub(super) context: K::Context,
     pub(super) keep: Keep,
@@ -58,7 +58,7 @@ impl<K: Kind> Log<K> {
     /// Creates the scene's directory and log, durably, appearing whole (temporary name, then rename).
     /// # Errors
     /// [`LogError::Failed`] when the directory is there already, otherwise the disk's.
-    pub fn create(directory: &Path, header: &Header, keep: Keep) -> Result<Self, LogError> {
+    pub fn create(directory: &Path, header: &Header<K>, keep: Keep) -> Result<Self, LogError> {
         Self::create_with(directory, header, &[], keep)
     }
 
@@ -67,7 +67,7 @@ impl<K: Kind> Log<K> {
     /// As of [`Self::create`].
     pub fn create_with(
         directory: &Path,
-        header: &Header,
+        header: &Header<K>,
         definitions: &[Box<[u8]>],
         keep: Keep,
     ) -> Result<Self, LogError> {
@@ -95,7 +95,7 @@ impl<K: Kind> Log<K> {
     /// [`LogError::Damaged`] and [`LogError::Foreign`] when the files are not what they were.
     pub fn open(directory: &Path, keep: Keep) -> Result<(Self, Vec<String>), LogError> {
         let site = Site::new(directory);
-        let page_size = site.check_database_header(K::FORMAT)?;
+        let page_size = site.check_database_header::<K>()?;
         let write_ahead =
             wal::inspect(&site.write_ahead(), page_size).map_err(|error| site.io(&error))?;
         if let WriteAhead::Broken { detail, frame } = write_ahead {
@@ -231,7 +231,7 @@ impl<K: Kind> Log<K> {
     }
 
     /// What was fixed at creation.
-    pub fn header(&self) -> &Header {
+    pub fn header(&self) -> &Header<K> {
         &self.meta.header
     }
 

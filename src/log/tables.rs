@@ -302,22 +302,31 @@ impl Superblock {
 
 /// What was fixed at creation, and when that was.
 #[derive(Clone, Debug)]
-pub(super) struct Meta {
-    pub(super) header: Header,
+pub(super) struct Meta<K: Kind> {
+    pub(super) header: Header<K>,
     pub(super) created_ms: u64,
 }
 
-impl Meta {
+impl<K: Kind> Meta<K> {
     pub(super) fn seal(&self) -> Seal {
         Seal {
             incarnation: self.header.incarnation,
         }
     }
 
+    /// The bytes of the stock: none when there is none.
+    fn stock_bytes(&self) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        if let Some(stock) = &self.header.stock {
+            K::put_stock(&mut bytes, stock);
+        }
+        bytes
+    }
+
     fn crc(&self) -> Crc {
         let mut crc = self.seal().row("meta");
         crc.number(u64::from(self.header.edge_steps))
-            .bytes(&totals::stock_bytes(self.header.stock))
+            .bytes(&self.stock_bytes())
             .bytes(self.header.settings.as_bytes())
             .number(self.created_ms);
         crc
@@ -329,7 +338,7 @@ impl Meta {
             params![
                 self.header.incarnation.cast_signed(),
                 self.header.edge_steps,
-                totals::stock_bytes(self.header.stock),
+                self.stock_bytes(),
                 self.header.settings,
                 self.created_ms.cast_signed(),
                 self.crc().finish()
@@ -351,13 +360,20 @@ impl Meta {
                 incarnation: columns.number(1)?,
                 edge_steps: u32::try_from(columns.number(2)?)
                     .map_err(|_| Malformed("its edge is out of range"))?,
-                stock: totals::stock(columns.blob(3)?)?,
+                stock: stock::<K>(columns.blob(3)?)?,
                 settings: columns.text(4)?.to_owned(),
             },
             created_ms: columns.number(5)?,
         };
         meta.crc().check(columns.number(6)?)?;
         Ok(meta)
+    }
+}
+
+fn stock<K: Kind>(bytes: &[u8]) -> Result<Option<K::Stock>, Malformed> {
+    match bytes {
+        [] => Ok(None),
+        _ => K::read_stock(bytes).map(Some),
     }
 }
 

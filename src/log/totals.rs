@@ -1,4 +1,4 @@
-//! The bytes of the totals of cubes, of a stock and of volumes.
+//! The bytes of the totals of cubes, of a box of material and of volumes.
 
 use ethnum::I256;
 
@@ -67,29 +67,15 @@ pub(crate) fn read_bounds(reader: &mut Reader<'_>) -> Result<Bounds, Malformed> 
     Ok(Bounds { min, max })
 }
 
-/// The bytes of a stock: none when there is none.
-pub(super) fn stock_bytes(stock: Option<Stock>) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    if let Some(stock) = stock {
-        put_bounds(&mut bytes, &stock.bounds());
-    }
-    bytes
-}
-
-/// The stock that [`stock_bytes`] wrote.
+/// The stock of these bounds, as [`put_bounds`] wrote them.
 /// # Errors
 /// Whatever is not that.
-pub(super) fn stock(bytes: &[u8]) -> Result<Option<Stock>, Malformed> {
-    if bytes.is_empty() {
-        return Ok(None);
-    }
+pub(super) fn stock(bytes: &[u8]) -> Result<Stock, Malformed> {
     let mut reader = Reader(bytes);
     let Bounds { min, max } = read_bounds(&mut reader)?;
     reader.finish()?;
-    match Stock::new(min.map(i64::from), max.map(i64::from)) {
-        Ok(stock) => Ok(Some(stock)),
-        Err(_) => Err(Malformed("a stock that is no box")),
-    }
+    Stock::new(min.map(i64::from), max.map(i64::from))
+        .map_err(|_| Malformed("a stock that is no box"))
 }
 
 /// Appends a volume.

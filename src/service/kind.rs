@@ -28,7 +28,7 @@ pub trait SceneKind: Kind {
     /// An engine without bodies.
     /// # Errors
     /// What the header says that no scene of this kind has, in words.
-    fn engine(header: &Header) -> Result<Self::Engine, String>;
+    fn engine(header: &Header<Self>) -> Result<Self::Engine, String>;
 
     /// Current totals.
     fn totals(engine: &Self::Engine) -> Self::Totals;
@@ -82,7 +82,7 @@ pub trait SceneKind: Kind {
     fn agree(one: &Self::Totals, other: &Self::Totals) -> bool;
 
     /// Totals from the bodies alone.
-    fn recount(header: &Header, bodies: Vec<Self::Body>) -> Self::Totals;
+    fn recount(header: &Header<Self>, bodies: Vec<Self::Body>) -> Self::Totals;
 }
 
 impl SceneKind for Cubes {

@@ -8,7 +8,7 @@ use super::registry::lock_data;
 use super::replay::{Compare, rebuild};
 use super::solids::Solids;
 use super::{Audit, Published, SceneName, Seq, StartError};
-use crate::log::{Cubes, Keep, Kind, Log, LogError, format_of};
+use crate::log::{Cubes, Keep, Log, LogError, is_of};
 
 /// A data directory, locked: no service can use it meanwhile.
 #[derive(Debug)]
@@ -125,7 +125,7 @@ impl Offline {
             .iter()
             .find(|(own, _)| own == name)
             .expect("the name is one of scenes()");
-        if format_of(directory) == Some(Solids::FORMAT) {
+        if is_of::<Solids>(directory) {
             audit_of::<Solids>(directory, AnyAudit::Solids, progress)
         } else {
             audit_of::<Cubes>(directory, AnyAudit::Cubes, progress)

@@ -25,10 +25,10 @@ use super::scene::{Scene, SceneOf, Setup, blocking};
 use super::solids::{NamedShape, Solids};
 use super::writer::{Halt, Writer};
 use super::{Readiness, SceneName, SceneState, ServiceConfig, ServiceError, StartError};
+use crate::engine::solids;
 use crate::geometry::{Edge, Stock};
 use crate::log::{
-    Cubes, Header, Kind, Log, LogError, create_directories, format_of, remove_leftovers,
-    remove_scene,
+    Cubes, Header, Kind, Log, LogError, create_directories, is_of, remove_leftovers, remove_scene,
 };
 
 /// All scenes of a data directory.
@@ -176,7 +176,7 @@ impl Service {
         stock: Option<Stock>,
         settings: &str,
     ) -> Result<(Arc<Scene>, bool), ServiceError> {
-        let new = NewScene {
+        let new = NewScene::<Cubes> {
             edge_steps: edge.steps().cast_unsigned(),
             stock,
             settings: settings.to_owned(),
@@ -191,11 +191,11 @@ impl Service {
     pub async fn create_solids(
         &self,
         name: &SceneName,
-        stock: Option<Stock>,
+        stock: Option<solids::Stock>,
         shapes: &[NamedShape],
         settings: &str,
     ) -> Result<(Arc<SolidScene>, bool), ServiceError> {
-        let new = NewScene {
+        let new = NewScene::<Solids> {
             edge_steps: 0,
             stock,
             settings: settings.to_owned(),
@@ -207,7 +207,7 @@ impl Service {
     async fn create_of<K: OneOfAny>(
         &self,
         name: &SceneName,
-        new: NewScene,
+        new: NewScene<K>,
     ) -> Result<(Arc<SceneOf<K>>, bool), ServiceError> {
         let (registry, name) = (self.0.clone(), name.clone());
         blocking(move || registry.create(&name, &new)).await?
@@ -273,7 +273,7 @@ impl Registry {
     fn create<K: OneOfAny>(
         self: &Arc<Self>,
         name: &SceneName,
-        new: &NewScene,
+        new: &NewScene<K>,
     ) -> Result<(Arc<SceneOf<K>>, bool), ServiceError> {
         let _open = self.stay_open()?;
         let _busy = self.busy.enter(name);
@@ -299,7 +299,7 @@ impl Registry {
         let header = Header {
             incarnation: uuid::Uuid::new_v4().as_u64_pair().1,
             edge_steps: new.edge_steps,
-            stock: new.stock,
+            stock: new.stock.clone(),
             settings: new.settings.clone(),
         };
         let begun = Log::<K>::create_with(
@@ -407,19 +407,19 @@ impl Drop for BusyName<'_> {
 }
 
 /// What a scene is created with.
-struct NewScene {
+struct NewScene<K: Kind> {
     edge_steps: u32,
-    stock: Option<Stock>,
+    stock: Option<K::Stock>,
     settings: String,
     definitions: Vec<Box<[u8]>>,
 }
 
-impl NewScene {
+impl<K: OneOfAny> NewScene<K> {
     /// Whether a scene that is there is such a one.
-    fn is<K: OneOfAny>(&self, scene: &SceneOf<K>) -> Result<bool, ServiceError> {
+    fn is(&self, scene: &SceneOf<K>) -> Result<bool, ServiceError> {
         let header = scene.header().expect("it is open");
-        let settings = (header.edge_steps, header.stock, &header.settings)
-            == (self.edge_steps, self.stock, &self.settings);
+        let settings = (header.edge_steps, &header.stock, &header.settings)
+            == (self.edge_steps, &self.stock, &self.settings);
         // Without definitions nobody is asked, so that a scene of cubes is found while it is stopped.
         let defined = self.definitions.is_empty() || {
             let context = scene.context()?;
@@ -440,9 +440,8 @@ fn of_kind<K: OneOfAny>(scene: AnyScene) -> Result<Arc<SceneOf<K>>, ServiceError
 
 /// The scene of a directory, whose files say of which kind it is.
 fn unopened(name: SceneName, directory: PathBuf, setup: &Arc<Setup>) -> AnyScene {
-    let format = format_of(&directory);
     let setup = setup.clone();
-    if format == Some(Solids::FORMAT) {
+    if is_of::<Solids>(&directory) {
         AnyScene::Solids(Arc::new(SceneOf::new(name, directory, setup)))
     } else {
         // Files that do not tell are damaged, as the log will say.

@@ -70,7 +70,7 @@ pub struct SceneOf<K: SceneKind> {
     pub(super) directory: PathBuf,
     pub(super) setup: Arc<Setup>,
     /// Known once the log has been opened.
-    header: OnceLock<Header>,
+    header: OnceLock<Header<K>>,
     /// What those above made of the header's settings.
     settings: OnceLock<Arc<dyn Any + Send + Sync>>,
     condition: ArcSwap<Condition<K>>,
@@ -488,12 +488,12 @@ impl<K: SceneKind> SceneOf<K> {
     }
 
     /// Keeps the header; false when another one was kept before.
-    pub(super) fn keep_header(&self, header: &Header) -> bool {
+    pub(super) fn keep_header(&self, header: &Header<K>) -> bool {
         self.header.get_or_init(|| header.clone()) == header
     }
 
     /// Its header, once its log has been opened.
-    pub(super) fn header(&self) -> Option<&Header> {
+    pub(super) fn header(&self) -> Option<&Header<K>> {
         self.header.get()
     }
 

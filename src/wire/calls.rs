@@ -100,7 +100,9 @@ pub(super) async fn create_solids(
         shapes,
     } = wanted;
     let text = settings.text();
-    Ok(service.create_solids(name, *stock, shapes, &text).await?)
+    Ok(service
+        .create_solids(name, stock.clone(), shapes, &text)
+        .await?)
 }
 
 /// Defines a shape of a scene: the shape as it is there then.

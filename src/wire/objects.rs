@@ -32,6 +32,12 @@ pub(super) use {objects_only, written};
 /// The name of a struct that may be a list of three numbers, too, for those who read JSON in a way of their own.
 pub(super) const LIST_OR_OBJECT: &str = "list or object";
 
+/// The name of a struct whose members are a choice of one and [`TOP`] beside it, for the same.
+pub(super) const CHOICE_AND_TOP: &str = "choice and top";
+
+/// The member that may stand beside the one chosen.
+pub(super) const TOP: &str = "top";
+
 /// Reads a struct from an object alone. Left to itself serde takes the list of its members' values for one, too.
 pub(super) struct ObjectOnly<T>(pub(super) T);
 

@@ -6,7 +6,10 @@ use prost::Message;
 use serde_json::{Value, json};
 use tokio_stream::StreamExt;
 use tonic::{Code, Status};
+use union3d::service::ServiceConfig;
+use union3d::wire::http::Limits;
 use union3d::wire::proto::shape::Form;
+use union3d::wire::proto::solid_scene_settings::StockForm;
 use union3d::wire::proto::{
     Acknowledged, ApplyChangeRequest, AuditSceneRequest, Box as Block, Change, ContainsRequest,
     CreateSceneRequest, CreateSceneResponse, Cutter, DefineShapeRequest, ExactSolids, FixedPoint,
@@ -24,7 +27,10 @@ fn vector([x, y, z]: [f64; 3]) -> Option<Vector> {
 }
 
 fn shape(form: Form) -> Shape {
-    Shape { form: Some(form) }
+    Shape {
+        form: Some(form),
+        top: None,
+    }
 }
 
 fn cuboid(size: [f64; 3]) -> Shape {
@@ -44,17 +50,23 @@ fn cutter(diameter: f64) -> Cutter {
     }
 }
 
-/// A block of 40 x 40 x 10 under the plane z = 0, ten steps a unit, a box, a flat and a ball.
+/// A block of 40 x 40 x 10 under the plane z = 0, ten steps a unit, a box, a flat that always reaches up to 30, and a ball.
 fn settings() -> SolidSceneSettings {
     SolidSceneSettings {
         steps_per_unit: Some(10),
-        stock: Some(Block {
+        stock_form: Some(StockForm::Stock(Block {
             min: vector([0.0, 0.0, -10.0]),
             max: vector([40.0, 40.0, 0.0]),
-        }),
+        })),
         shapes: HashMap::from([
             ("b".to_owned(), cuboid([2.0, 3.0, 4.0])),
-            ("t1".to_owned(), shape(Form::Flat(cutter(6.0)))),
+            (
+                "t1".to_owned(),
+                Shape {
+                    top: Some(30.0),
+                    ..shape(Form::Flat(cutter(6.0)))
+                },
+            ),
             ("t2".to_owned(), shape(Form::Ball(cutter(4.0)))),
         ]),
         ..SolidSceneSettings::default()
@@ -67,7 +79,7 @@ fn settings_json() -> Value {
     json!({
         "kind": "solids", "steps_per_unit": 10,
         "stock": {"min": [0, 0, -10], "max": [40, 40, 0]},
-        "shapes": {"b": {"box": {"min": [0, 0, 0], "max": [2, 3, 4]}}, "t1": {"flat": cutter(6.0)}, "t2": {"ball": cutter(4.0)}},
+        "shapes": {"b": {"box": {"min": [0, 0, 0], "max": [2, 3, 4]}}, "t1": {"flat": cutter(6.0), "top": 30}, "t2": {"ball": cutter(4.0)}},
     })
 }
 
@@ -244,6 +256,84 @@ async fn both_protocols_say_the_same() {
     assert_eq!(
         (&answer["seq"], &answer["unchanged"]),
         (&json!(1), &json!(4))
+    );
+}
+
+/// Any convex stock, over both protocols and after a restart: the same measures.
+#[tokio::test]
+async fn any_convex_stock_is_cut() {
+    let server = Server::start().await;
+    let points = [
+        [0.0, 0.0, -10.0],
+        [40.0, 0.0, -10.0],
+        [0.0, 40.0, -10.0],
+        [0.0, 0.0, 0.0],
+        [20.0, 20.0, 0.0],
+    ];
+    let hull = Points {
+        points: points.map(|point| vector(point).unwrap()).to_vec(),
+    };
+    let bar = Cutter {
+        at: vector([20.0, 20.0, -10.0]),
+        ..cutter(30.0)
+    };
+    let forms = [
+        (StockForm::StockHull(hull), json!({ "hull": points })),
+        (
+            StockForm::StockCylinder(bar),
+            json!({"cylinder": {"diameter": 30, "length": 20, "sides": 8, "polygon": "inscribed", "at": [20, 20, -10]}}),
+        ),
+    ];
+    let mut measured = Vec::new();
+    for (index, (form, document)) in forms.into_iter().enumerate() {
+        let [grpc, http] = ["grpc", "http"].map(|name| format!("{name}{index}"));
+        let stock = SolidSceneSettings {
+            stock_form: Some(form.clone()),
+            ..settings()
+        };
+        assert!(create(&server, &grpc, stock).await.unwrap().created);
+        let mut settings = settings_json();
+        settings["stock"] = document;
+        let url = format!("{}/v1/scenes/{http}", server.http);
+        let put = reqwest::Client::new().put(url).json(&settings);
+        assert_eq!(put.send().await.unwrap().status(), 201);
+        server.change(&grpc, part()).await.unwrap();
+        let (status, answer) = server
+            .post(&format!("/v1/scenes/{http}/changes"), &part_json())
+            .await;
+        assert_eq!(status, 200, "{answer}");
+        let [one, other] = [totals(&server, &grpc).await, totals(&server, &http).await];
+        assert_eq!(one.measures, other.measures);
+        assert_eq!(one.remaining, other.remaining);
+        for scene in [grpc, http] {
+            let request = GetSceneRequest {
+                scene: scene.clone(),
+            };
+            let shown = server.client().get_scene(request).await.unwrap();
+            let shown = shown.into_inner().scene.unwrap().solid_settings.unwrap();
+            assert_eq!(shown.stock_form, Some(form.clone()));
+            assert_eq!(shown.stock_polygon_error.is_some(), index == 1);
+            assert!(!create(&server, &scene, shown).await.unwrap().created);
+            measured.push((scene.clone(), totals(&server, &scene).await));
+        }
+    }
+    assert_ne!(measured[0].1.measures, measured[2].1.measures);
+    let data = server.stop().await;
+    let config = ServiceConfig::new(data.path());
+    let server = Server::on(data, Limits::default(), config, None, true).await;
+    for (scene, before) in measured {
+        assert_eq!(totals(&server, &scene).await, before);
+    }
+    let flat = SolidSceneSettings {
+        stock_form: Some(StockForm::StockHull(Points {
+            points: vec![Vector::default(); 4],
+        })),
+        ..SolidSceneSettings::default()
+    };
+    let status = create(&server, "flat", flat).await.unwrap_err();
+    assert_eq!(
+        refused(&status, Code::InvalidArgument, "invalid"),
+        ["solids.stock.hull"]
     );
 }
 
@@ -742,10 +832,10 @@ async fn what_is_wrong_is_named_with_its_place() {
     let bad = SolidSceneSettings {
         steps_per_unit: Some(0),
         rounding: 9,
-        stock: Some(Block {
+        stock_form: Some(StockForm::Stock(Block {
             min: vector([0.0; 3]),
             max: None,
-        }),
+        })),
         shapes: HashMap::from([(
             "t".to_owned(),
             shape(Form::Vee(Cutter {

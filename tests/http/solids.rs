@@ -495,6 +495,102 @@ async fn what_is_wrong_is_named_with_its_place() {
         .problem(409, "other-kind");
 }
 
+/// A stock may be any convex solid: a hull, or a round bar. What is answered of it can be sent again.
+#[tokio::test]
+async fn any_convex_stock_is_cut() {
+    let server = Server::start().await;
+    let prism = json!({"hull": [[0, 0, -10], [20, 0, -10], [0, 20, -10], [0, 0, 0], [20, 0, 0], [0, 20, 0]]});
+    let settings = |stock: &Value| json!({"kind": "solids", "steps_per_unit": 100, "stock": stock, "shapes": {"b": {"box": [2, 3, 4]}}});
+    server
+        .scene_with("part", &settings(&prism).to_string())
+        .await;
+    let shown = server.get("/v1/scenes/part").await.ok();
+    let points = shown["stock"]["hull"].as_array().unwrap();
+    assert_eq!((points.len(), &points[1]), (6, &json!([20.0, 0.0, -10.0])));
+    let again = settings(&shown["stock"]).to_string();
+    let again = server.send("PUT", "/v1/scenes/part", JSON, &again).await;
+    assert_eq!(again.status, 200);
+    let cut = json!({"insert": [{"shape": "b", "from": [-5, 0, -2], "to": [30, 0, -2]}]});
+    let answer = changed(&server, &cut).await.ok();
+    // 2 deep, and along y as long as the slanted side lets it be: the integral of 20 - y from 0 to 3.
+    let totals = &answer["mass_properties"];
+    assert_eq!(
+        (&totals["volume"], &totals["remaining"]["volume"]),
+        (&json!(111.0), &json!(1889.0))
+    );
+    assert_eq!(answer["volume_removed"], 111.0);
+    for (at, side) in [
+        ("1,1,-1", "inside"),
+        ("19,2,-1", "outside"),
+        ("20,0,-1", "boundary"),
+    ] {
+        let found = server
+            .get(&format!("/v1/scenes/part/contains?at={at}"))
+            .await
+            .ok();
+        assert_eq!(found["side"], side, "{at}");
+    }
+    let back = server.send("POST", "/v1/scenes/part/revert", JSON, r#"{"to":0}"#);
+    assert_eq!(
+        back.await.ok()["mass_properties"]["remaining"]["volume"],
+        2000.0
+    );
+    let past = server
+        .get("/v1/scenes/part/mass-properties?at=1")
+        .await
+        .ok();
+    assert_eq!(past["remaining"]["volume"], 1889.0);
+    let audit = server.send("POST", "/v1/scenes/part/audit", JSON, "");
+    assert_eq!(audit.await.ok()["equal"], true);
+
+    // A box by its corners and as a hull: the same measures.
+    let corners: Vec<_> = (0..8)
+        .map(|corner| {
+            json!([
+                20 * (corner & 1),
+                20 * (corner >> 1 & 1),
+                -10 * (corner >> 2)
+            ])
+        })
+        .collect();
+    let mut measured = vec![];
+    for (name, stock) in [
+        ("box", json!({"min": [0, 0, -10], "max": [20, 20, 0]})),
+        ("hull", json!({"hull": corners})),
+    ] {
+        let path = server.scene_with(name, &settings(&stock).to_string()).await;
+        let answer = server.change(&path, &cut.to_string()).await.ok();
+        let mut totals = answer["mass_properties"].clone();
+        totals["scene"].take();
+        measured.push(totals);
+    }
+    assert_eq!(measured[0], measured[1]);
+
+    // A round bar with sides of its own: an octagon around the circle of diameter 10.
+    let bar = json!({"cylinder": {"diameter": 10, "length": 20, "sides": 8, "polygon": "circumscribed", "at": [5, 5, -20]}});
+    let path = server.scene_with("bar", &settings(&bar).to_string()).await;
+    let shown = server.get(&path).await.ok();
+    assert_eq!(shown["stock"]["cylinder"]["sides"], 8);
+    let error = shown["stock_polygon_error"]["outside"].as_f64().unwrap();
+    assert!((0.41..0.43).contains(&error), "{error}");
+    let nothing = server.get(&format!("{path}/mass-properties")).await.ok();
+    let volume = nothing["remaining"]["volume"].as_f64().unwrap();
+    let octagon = 8.0 * 25.0 * (std::f64::consts::PI / 8.0).tan() * 20.0;
+    // Its vertices are rounded to the lattice: by less than a step of 0.01, along all of its surface.
+    let most = 0.01 * octagon * 4.0 / 10.0;
+    assert!(
+        (0.0..most).contains(&(volume - octagon)),
+        "{volume} {octagon}"
+    );
+    assert_eq!(nothing["remaining"]["centroid"], json!([5.0, 5.0, -10.0]));
+    let other = bar.to_string().replace("\"sides\":8", "\"sides\":16");
+    let other = settings(&serde_json::from_str(&other).unwrap()).to_string();
+    server
+        .send("PUT", &path, JSON, &other)
+        .await
+        .problem(409, "scene-exists");
+}
+
 /// Settings that cannot be: each fault has its place, also among the shapes.
 #[tokio::test]
 async fn wrong_settings_are_named_with_their_places() {
@@ -512,6 +608,35 @@ async fn wrong_settings_are_named_with_their_places() {
         (
             r#"{"kind":"solids","stock":{"min":[0,0,0],"max":[1,0,1]},"shapes":{"a/b":{"box":[1,1,1]}}}"#,
             vec!["/stock/max/1", "/shapes/a~1b"],
+        ),
+        (
+            r#"{"kind":"solids","stock":{"min":[0,0,0]}}"#,
+            vec!["/stock/max"],
+        ),
+        (r#"{"kind":"solids","stock":{}}"#, vec!["/stock/min"]),
+        (
+            r#"{"kind":"solids","stock":{"min":[0,0,0],"max":[1,1,1],"hull":[]}}"#,
+            vec!["/stock"],
+        ),
+        (
+            r#"{"kind":"solids","stock":{"hull":[[0,0,0],[1,0,0],[0,1,0],[1,1,0]]}}"#,
+            vec!["/stock/hull"],
+        ),
+        (
+            r#"{"kind":"solids","rounding":"reject","stock":{"hull":[[0,0,0],[1,0,0],[0,1,0],[0,0.00005,1]]}}"#,
+            vec!["/stock/hull/3/1"],
+        ),
+        (
+            r#"{"kind":"solids","stock":{"hull":[[0,0,0],[1,0,0],[0,1,0],[0,1]]}}"#,
+            vec!["/stock/hull/3"],
+        ),
+        (
+            r#"{"kind":"solids","stock":{"cylinder":{"diameter":10,"length":20,"sides":1024}}}"#,
+            vec!["/stock/cylinder"],
+        ),
+        (
+            r#"{"kind":"solids","stock":{"cylinder":{"diameter":10,"length":20,"tip":3}}}"#,
+            vec!["/stock/cylinder/tip"],
         ),
         (r#"{"kind":"solids","shapes":[]}"#, vec!["/shapes"]),
         (
@@ -556,6 +681,92 @@ async fn wrong_settings_are_named_with_their_places() {
         .get("/v1/scenes/x")
         .await
         .problem(404, "no-such-scene");
+}
+
+/// A shape with a top reaches up to it wherever it is carried, and no higher.
+#[tokio::test]
+async fn a_top_is_reached_wherever_a_shape_is_carried() {
+    let server = Server::start().await;
+    let bit =
+        |length: i64| json!({"ball": {"diameter": 4, "length": length, "sides": 8, "rings": 3}});
+    let mut topped = bit(5);
+    topped["top"] = json!(4);
+    let settings = |shapes: Value| {
+        json!({"kind": "solids", "steps_per_unit": 1000, "shapes": shapes}).to_string()
+    };
+    let short = server
+        .scene_with("short", &settings(json!({"t": topped})))
+        .await;
+    let long = json!({"t6": bit(6), "t7": bit(7)});
+    let long = server.scene_with("long", &settings(long)).await;
+    // At z = -2 the top is 6 above the tip, at -3 it is 7.
+    let sweeps = |shapes: [&str; 2]| {
+        json!({"insert": [
+            {"id": 1, "shape": shapes[0], "from": [0, 0, -2], "to": [9, 2, -2]},
+            {"id": 2, "shape": shapes[1], "from": [9, 2, -3], "to": [9, 2, -3]},
+        ]})
+        .to_string()
+    };
+    let mut measured = vec![];
+    for (scene, shapes) in [(&short, ["t", "t"]), (&long, ["t6", "t7"])] {
+        let answer = server.change(scene, &sweeps(shapes)).await.ok();
+        measured.push(answer["mass_properties"]["exact"].clone());
+    }
+    for measure in [
+        "volume",
+        "area",
+        "edge_length",
+        "first_moments",
+        "second_moments",
+    ] {
+        let [one, other] = [0, 1].map(|scene: usize| &measured[scene][measure]["value"]);
+        assert_eq!(one, other, "{measure}");
+    }
+    assert_eq!(server.get(&short).await.ok()["shapes"]["t"], {
+        let mut shown = topped.clone();
+        for (member, value) in [
+            ("polygon", json!("equal_area")),
+            ("at", json!([0.0, 0.0, 0.0])),
+            ("diameter", json!(4.0)),
+            ("length", json!(5.0)),
+        ] {
+            shown["ball"][member] = value;
+        }
+        shown["top"] = json!(4.0);
+        shown
+    });
+    let above = json!({"insert": [{"shape": "t", "from": [0, 0, -2], "to": [0, 0, -0.999]}]});
+    let refused = server.change(&short, &above.to_string()).await;
+    assert_eq!(refused.places(), ["/insert/0/to"]);
+    assert!(
+        refused.text.contains("above the common top at 4000"),
+        "{}",
+        refused.text
+    );
+    for (shape, places) in [
+        (
+            json!({"hull": [[0, 0, 0], [4, 0, 0], [0, 4, 0], [0, 0, 4]], "top": 9}),
+            vec!["/top"],
+        ),
+        (json!({"box": [1, 1, 1], "top": 1e9}), vec!["/top"]),
+        (json!({"box": [1, 1, 1], "top": null}), vec!["/top"]),
+        (json!({"box": [1, 1, 1], "bottom": 1}), vec!["/bottom"]),
+        (json!({"top": 1}), vec![""]),
+        (
+            json!({"parts": [{"box": [1, 1, 1], "top": 2}]}),
+            vec!["/parts/0/top"],
+        ),
+    ] {
+        let answer = server
+            .send(
+                "PUT",
+                &format!("{short}/shapes/s"),
+                JSON,
+                &shape.to_string(),
+            )
+            .await;
+        assert_eq!(answer.places(), places, "{shape}: {}", answer.text);
+    }
 }
 
 /// Where coordinates between two steps are rejected, vertices are on the lattice or refused; elsewhere they are rounded.

@@ -203,7 +203,7 @@ impl PartialEq for Body {
 }
 
 /// What makes a solid: its vertices, in an order of their own.
-fn sorted(solid: &Solid) -> Vec<Point> {
+pub(super) fn sorted(solid: &Solid) -> Vec<Point> {
     let mut vertices = solid.vertices().to_vec();
     vertices.sort_unstable();
     vertices

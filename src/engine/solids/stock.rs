@@ -18,6 +18,7 @@ use rustc_hash::FxHashMap;
 use crate::geometry::Bounds;
 use crate::geometry::convex::{Plane, Solid, VERTICES_MAX, edges_of};
 
+use super::body::sorted;
 use super::certify::{Near, Room, Value};
 use super::exact::{Homogeneous, cross_wide, dot_wide};
 use super::face::{Arithmetic, Corner, Face, Place, Position, Vertex, side};
@@ -35,6 +36,15 @@ pub struct Stock {
     solid: Arc<Solid>,
     piece: Arc<Piece>,
 }
+
+/// The same vertices, in whatever order.
+impl PartialEq for Stock {
+    fn eq(&self, other: &Self) -> bool {
+        sorted(&self.solid) == sorted(&other.solid)
+    }
+}
+
+impl Eq for Stock {}
 
 /// A solid has too many vertices for a stock.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, thiserror::Error)]

@@ -4,14 +4,16 @@
 //! columns   ids  kinds    swept: from x y z  by x y z    hulls: vertices  x y z of all
 //! kind      0 for a hull, else 1 + the number of the shape
 //! by        how far the shape is carried
+//! stock     a box: its corners, 24 bytes    any other: its vertices, as of a part of a shape, which never takes as many
 //! ```
 
 use ethnum::I256;
 
+use super::shapes::{part, put_part};
 use super::{Shapes, SolidTotals};
-use crate::engine::solids::{Body, ErrorMax, Measures, Totals};
-use crate::geometry::CubeId;
+use crate::engine::solids::{Body, ErrorMax, Measures, Stock, Totals};
 use crate::geometry::convex::{Point, Solid, VERTICES_MAX};
+use crate::geometry::{Bounds, CubeId};
 use crate::log::{
     COORDINATE_BYTES_MAX, ColumnReader, ColumnWriter, Malformed, Reader, put_bounds, put_signed,
     read_bounds,
@@ -22,6 +24,39 @@ pub(super) const BODY_BYTES_MAX: usize = 2 + 2 + VERTICES_MAX * 3 * COORDINATE_B
 /// A kind or a count of vertices is below 2^16.
 const NUMBER_BYTES_MAX: usize = 2;
 const TOTALS_VERSION: u8 = 1;
+
+/// The bytes of the corners of a box. Vertices take a byte or two and then 12 each, which is never as much.
+const BOX_BYTES: usize = 24;
+
+/// Whether a solid fills the box around it: a vertex of it is at each of the eight corners.
+pub(super) fn is_box(solid: &Solid) -> bool {
+    let Bounds { min, max } = solid.bounds();
+    let mut vertices = solid.vertices().iter().map(|vertex| vertex.coordinates());
+    solid.vertices().len() == 8
+        && vertices.all(|at| (0..3).all(|axis| [min[axis], max[axis]].contains(&at[axis])))
+}
+
+pub(super) fn put_stock(to: &mut Vec<u8>, stock: &Stock) {
+    let solid = stock.solid();
+    if is_box(solid) {
+        put_bounds(to, &solid.bounds());
+    } else {
+        put_part(to, solid);
+    }
+}
+
+pub(super) fn read_stock(bytes: &[u8]) -> Result<Stock, Malformed> {
+    let mut reader = Reader(bytes);
+    let solid = if bytes.len() == BOX_BYTES {
+        let Bounds { min, max } = read_bounds(&mut reader)?;
+        let [min, max] = [min, max].map(|at| point(at.map(i64::from)));
+        Solid::cuboid(min?, max?).map_err(|_| Malformed("a stock that is no box"))?
+    } else {
+        part(&mut reader)?
+    };
+    reader.finish()?;
+    Stock::new(solid).map_err(|_| Malformed("a stock of too many vertices"))
+}
 
 /// A hull counts as its vertices do.
 pub(super) fn weight(body: &Body) -> usize {

@@ -11,13 +11,13 @@ mod codec;
 mod shapes;
 
 use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
 
 use super::kind::SceneKind;
 use super::{ServiceConfig, ServiceError};
 use crate::engine::solids::{self, Body, Effect, Engine, ErrorMax, Judged, Op, Stock};
 use crate::engine::{Access, Cursor, solids::recount};
-use crate::geometry::convex::{Point, Solid};
-use crate::geometry::{Bounds, CubeId};
+use crate::geometry::CubeId;
 use crate::log::{ColumnReader, ColumnWriter, Header, Kind, Malformed, Reader};
 
 pub use shapes::{NamedShape, SHAPES_MAX, Shapes};
@@ -38,17 +38,38 @@ pub struct SolidTotals {
 /// Bodies of a change that are put in or taken out in one step: some tens of milliseconds.
 const STEP_BODIES: usize = 64;
 
+/// The layout of scenes whose stock is a box, if they have one.
+const FORMAT_OF_BOXES: i32 = 4;
+/// The same with any convex stock.
+const FORMAT_OF_HULLS: i32 = 5;
+
 impl Kind for Solids {
     type Body = Body;
     type Totals = SolidTotals;
     type Context = Shapes;
+    type Stock = Stock;
 
-    const FORMAT: i32 = 4;
+    const FORMATS: RangeInclusive<i32> = FORMAT_OF_BOXES..=FORMAT_OF_HULLS;
     const DEFINES: bool = true;
     const BODY_BYTES_MAX: usize = codec::BODY_BYTES_MAX;
     const CHUNK_BODIES: usize = 1 << 12;
 
-    fn context(header: &Header) -> Result<Shapes, String> {
+    fn format(stock: Option<&Stock>) -> i32 {
+        match stock {
+            Some(stock) if !codec::is_box(stock.solid()) => FORMAT_OF_HULLS,
+            _ => FORMAT_OF_BOXES,
+        }
+    }
+
+    fn put_stock(to: &mut Vec<u8>, stock: &Stock) {
+        codec::put_stock(to, stock);
+    }
+
+    fn read_stock(bytes: &[u8]) -> Result<Stock, Malformed> {
+        codec::read_stock(bytes)
+    }
+
+    fn context(header: &Header<Self>) -> Result<Shapes, String> {
         match header.edge_steps {
             0 => Ok(Shapes::default()),
             _ => Err("a scene of solids has no edge".to_owned()),
@@ -87,8 +108,8 @@ impl Kind for Solids {
         codec::read_totals(reader)
     }
 
-    fn nothing(header: &Header) -> SolidTotals {
-        Self::engine(header).map_or(SolidTotals::default(), |engine| Self::totals(&engine))
+    fn nothing(header: &Header<Self>) -> SolidTotals {
+        Self::totals(&Engine::new().with_stock(header.stock.clone()))
     }
 }
 
@@ -99,8 +120,8 @@ impl SceneKind for Solids {
 
     const REPLAYED_TOGETHER_MAX: usize = 1 << 14;
 
-    fn engine(header: &Header) -> Result<Engine, String> {
-        Ok(Engine::new().with_stock(stock(header)?))
+    fn engine(header: &Header<Self>) -> Result<Engine, String> {
+        Ok(Engine::new().with_stock(header.stock.clone()))
     }
 
     fn totals(engine: &Engine) -> SolidTotals {
@@ -172,27 +193,10 @@ impl SceneKind for Solids {
         one.union == other.union
     }
 
-    fn recount(header: &Header, bodies: Vec<Body>) -> SolidTotals {
-        let stock = stock(header).expect("a stock is checked before its header is kept");
+    fn recount(header: &Header<Self>, bodies: Vec<Body>) -> SolidTotals {
         SolidTotals {
-            union: recount(stock, bodies.into_iter()),
+            union: recount(header.stock.clone(), bodies.into_iter()),
             error_max: ErrorMax::default(),
         }
     }
-}
-
-/// The block of material that bodies are cut from, if any.
-fn stock(header: &Header) -> Result<Option<Stock>, String> {
-    let Some(stock) = &header.stock else {
-        return Ok(None);
-    };
-    let corner = |at: [i32; 3]| Point::new(at.map(i64::from));
-    let Bounds { min, max } = stock.bounds();
-    let (min, max) = corner(min)
-        .and_then(|min| Ok((min, corner(max)?)))
-        .map_err(|invalid| invalid.to_string())?;
-    let solid = Solid::cuboid(min, max).map_err(|invalid| format!("the stock: {invalid}"))?;
-    Stock::new(solid)
-        .map(Some)
-        .map_err(|invalid| invalid.to_string())
 }

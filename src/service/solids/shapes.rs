@@ -54,12 +54,7 @@ impl NamedShape {
         let parts = self.shape.parts();
         put_count(&mut bytes, parts.len());
         for part in parts {
-            put_count(&mut bytes, part.vertices().len());
-            for vertex in part.vertices() {
-                for coordinate in vertex.coordinates() {
-                    bytes.extend(coordinate.to_le_bytes());
-                }
-            }
+            put_part(&mut bytes, part);
         }
         bytes.into()
     }
@@ -111,7 +106,18 @@ fn text(reader: &mut Reader<'_>) -> Result<String, Malformed> {
     Ok(text.to_owned())
 }
 
-fn part(reader: &mut Reader<'_>) -> Result<Solid, Malformed> {
+/// Appends a convex solid.
+pub(super) fn put_part(to: &mut Vec<u8>, part: &Solid) {
+    put_count(to, part.vertices().len());
+    for vertex in part.vertices() {
+        for coordinate in vertex.coordinates() {
+            to.extend(coordinate.to_le_bytes());
+        }
+    }
+}
+
+/// The convex solid that [`put_part`] wrote.
+pub(super) fn part(reader: &mut Reader<'_>) -> Result<Solid, Malformed> {
     let vertices = count(reader)?;
     if vertices > VERTICES_MAX {
         return Err(Malformed("a part of too many vertices"));

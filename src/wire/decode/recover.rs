@@ -22,7 +22,7 @@ use serde::forward_to_deserialize_any;
 use serde_json::value::RawValue;
 
 use crate::wire::documents::{NO_WHOLE_NUMBER, decimal};
-use crate::wire::objects::LIST_OR_OBJECT;
+use crate::wire::objects::{CHOICE_AND_TOP, LIST_OR_OBJECT, TOP};
 use crate::wire::problem::{Fault, Faults};
 
 /// Reads a document with stand-ins for what is at fault; none when its types themselves refuse a value that has no fault of these kinds.
@@ -363,9 +363,16 @@ impl<'de> Deserializer<'de> for Recovering<'_, 'de> {
         if name == LIST_OR_OBJECT && self.raw.is_some_and(is_list) {
             return self.deserialize_tuple(COORDINATES, visitor);
         }
+        let before = self.notes.faults.borrow().len();
         let sent = self.members(fields);
         let is_object = sent.is_some();
         let mut members = sent.unwrap_or_default();
+        if name == CHOICE_AND_TOP && members.iter().filter(|(name, _)| *name != TOP).count() != 1 {
+            if is_object && self.notes.faults.borrow().len() == before {
+                self.note(choice(&visitor, &fields[..fields.len() - 1]));
+            }
+            members = vec![(fields[0], None)];
+        }
         for (of, field) in self.notes.required.borrow().iter() {
             if *of != name || members.iter().any(|(there, _)| there == field) {
                 continue;

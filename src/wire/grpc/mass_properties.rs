@@ -36,6 +36,31 @@ impl From<[[f64; 3]; 3]> for proto::InertiaTensor {
     }
 }
 
+impl From<proto::InertiaTensor> for [[f64; 3]; 3] {
+    fn from(tensor: proto::InertiaTensor) -> Self {
+        let proto::InertiaTensor {
+            xx,
+            yy,
+            zz,
+            xy,
+            yz,
+            zx,
+        } = tensor;
+        [[xx, xy, zx], [xy, yy, yz], [zx, yz, zz]]
+    }
+}
+
+impl TryFrom<proto::Box> for UserBounds {
+    type Error = Missing;
+
+    fn try_from(bounds: proto::Box) -> Result<Self, Missing> {
+        Ok(Self {
+            min: bounds.min.ok_or(Missing("bounds.min"))?.into(),
+            max: bounds.max.ok_or(Missing("bounds.max"))?.into(),
+        })
+    }
+}
+
 impl From<UserBounds> for proto::Box {
     fn from(UserBounds { min, max }: UserBounds) -> Self {
         Self {
@@ -96,19 +121,12 @@ impl TryFrom<proto::MassProperties> for MassProperties {
             exact: message.exact,
         };
         let PartProperties { user, integers } = union.try_into()?;
-        let bounds = |bounds: proto::Box| {
-            let (min, max) = (bounds.min, bounds.max);
-            Ok(UserBounds {
-                min: min.ok_or(Missing("bounds.min"))?.into(),
-                max: max.ok_or(Missing("bounds.max"))?.into(),
-            })
-        };
         Ok(Self {
             scene: Some(message.scene),
             seq: Some(message.seq),
             cubes: message.cubes,
             user,
-            bounds: message.bounds.map(bounds).transpose()?,
+            bounds: message.bounds.map(TryInto::try_into).transpose()?,
             integers,
             removed: message.removed.map(TryInto::try_into).transpose()?,
             remaining: message.remaining.map(TryInto::try_into).transpose()?,
@@ -158,14 +176,6 @@ impl TryFrom<proto::PartProperties> for PartProperties {
     fn try_from(message: proto::PartProperties) -> Result<Self, Missing> {
         let edges = message.edge_length.ok_or(Missing("edge_length"))?;
         let vertices = message.vertices.ok_or(Missing("vertices"))?;
-        let proto::InertiaTensor {
-            xx,
-            yy,
-            zz,
-            xy,
-            yz,
-            zx,
-        } = message.inertia.ok_or(Missing("inertia"))?;
         Ok(Self {
             user: UserMeasures {
                 volume: message.volume,
@@ -179,7 +189,7 @@ impl TryFrom<proto::PartProperties> for PartProperties {
                 mass: message.mass,
                 mean_curvature: message.mean_curvature,
                 centroid: message.centroid.map(Into::into),
-                inertia: [[xx, xy, zx], [xy, yy, yz], [zx, yz, zz]],
+                inertia: message.inertia.ok_or(Missing("inertia"))?.into(),
             },
             integers: IntegerMeasures {
                 euler_characteristic: message.euler_characteristic,

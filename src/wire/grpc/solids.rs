@@ -2,19 +2,22 @@
 
 use std::collections::BTreeMap;
 
+use super::mass_properties::Missing;
 use crate::engine::solids::Body;
 use crate::geometry::CubeId;
 use crate::service::Shapes;
-use crate::wire::convert::{Rounding, StockDocument};
+use crate::wire::convert::Rounding;
 use crate::wire::documents::IdForm;
 use crate::wire::kind::SolidSceneProperties;
 use crate::wire::problem::{Fault, Faults};
 use crate::wire::proto;
 use crate::wire::proto::shape::Form;
+use crate::wire::proto::solid_scene_settings::StockForm;
 use crate::wire::solids::{
     BoxDocument, CornersDocument, CutterDocument, ErrorBounds, ExactSolids, FitName, FixedPoint,
-    PolygonError, Scale, ShapeDocument, SolidDocument, SolidMeasures, SolidSceneSettings,
-    SolidSettingsDocument, default_sides,
+    FormDocument, PolygonError, Scale, ShapeDocument, SolidDocument, SolidEdgeLength,
+    SolidMeasures, SolidProperties, SolidSceneSettings, SolidSettingsDocument, SolidStockDocument,
+    default_sides,
 };
 
 /// The settings that a message asks for; what it cannot mean is noted.
@@ -33,10 +36,20 @@ pub(super) fn wanted(
         Ok(proto::Rounding::Reject) => wanted.rounding = Rounding::Reject,
         Err(_) => unknown("/rounding", message.rounding, faults),
     }
-    if let Some(stock) = &message.stock {
-        let corners = corners(stock, "/stock", faults);
-        wanted.stock = corners.map(|CornersDocument { min, max }| StockDocument { min, max });
-    }
+    wanted.stock = message.stock_form.as_ref().and_then(|form| match form {
+        StockForm::Stock(message) => {
+            let corners = corners(message, "/stock", faults);
+            corners.map(|CornersDocument { min, max }| SolidStockDocument::cuboid(min, max))
+        }
+        StockForm::StockHull(message) => Some(SolidStockDocument {
+            hull: Some(points(message)),
+            ..SolidStockDocument::default()
+        }),
+        StockForm::StockCylinder(message) => Some(SolidStockDocument {
+            cylinder: Some(cutter(message, "/stock/cylinder", faults)),
+            ..SolidStockDocument::default()
+        }),
+    });
     let mut shapes = BTreeMap::new();
     for (name, message) in &message.shapes {
         let read = shape(message, &format!("/shapes/{name}"), faults);
@@ -52,38 +65,46 @@ pub(super) fn shape(
     pointer: &str,
     faults: &mut Faults,
 ) -> Option<ShapeDocument> {
+    let form = form(message, pointer, faults)?;
+    let top = message.top;
+    Some(ShapeDocument { form, top })
+}
+
+fn form(message: &proto::Shape, pointer: &str, faults: &mut Faults) -> Option<FormDocument> {
     let Some(form) = &message.form else {
         faults.push(Fault::at(pointer.to_owned(), "has no form", None));
         return None;
     };
     let mut cutter = |name: &str, message| cutter(message, &format!("{pointer}/{name}"), faults);
     Some(match form {
-        Form::Flat(message) => ShapeDocument::Flat(cutter("flat", message)),
-        Form::Ball(message) => ShapeDocument::Ball(cutter("ball", message)),
-        Form::Bull(message) => ShapeDocument::Bull(cutter("bull", message)),
-        Form::Vee(message) => ShapeDocument::Vee(cutter("vee", message)),
-        Form::Drill(message) => ShapeDocument::Drill(cutter("drill", message)),
-        Form::Tapered(message) => ShapeDocument::Tapered(cutter("tapered", message)),
+        Form::Flat(message) => FormDocument::Flat(cutter("flat", message)),
+        Form::Ball(message) => FormDocument::Ball(cutter("ball", message)),
+        Form::Bull(message) => FormDocument::Bull(cutter("bull", message)),
+        Form::Vee(message) => FormDocument::Vee(cutter("vee", message)),
+        Form::Drill(message) => FormDocument::Drill(cutter("drill", message)),
+        Form::Tapered(message) => FormDocument::Tapered(cutter("tapered", message)),
         Form::Box(message) => {
             let corners = corners(message, &format!("{pointer}/box"), faults);
-            ShapeDocument::Box(BoxDocument::Corners(corners?))
+            FormDocument::Box(BoxDocument::Corners(corners?))
         }
-        Form::Hull(message) => {
-            let points = message.points.iter();
-            ShapeDocument::Hull(points.map(|point| (*point).into()).collect())
-        }
+        Form::Hull(message) => FormDocument::Hull(points(message)),
         Form::Parts(message) => {
             let parts = message.shapes.iter().enumerate();
             let read = parts.filter_map(|(index, part)| {
+                let pointer = format!("{pointer}/parts/{index}");
                 // Refused here, before it is gone into, so that a message cannot nest as deep as it likes.
                 if let Some(Form::Parts(_)) = part.form {
                     let detail = "has parts of its own, and is a part itself";
-                    faults.push(Fault::at(format!("{pointer}/parts/{index}"), detail, None));
+                    faults.push(Fault::at(pointer, detail, None));
                     return None;
                 }
-                shape(part, &format!("{pointer}/parts/{index}"), faults)
+                if part.top.is_some() {
+                    let detail = "is of a part; the shape as a whole has one";
+                    faults.push(Fault::at(format!("{pointer}/top"), detail, None));
+                }
+                self::form(part, &pointer, faults)
             });
-            ShapeDocument::Parts(read.collect())
+            FormDocument::Parts(read.collect())
         }
     })
 }
@@ -136,6 +157,11 @@ fn corners(message: &proto::Box, pointer: &str, faults: &mut Faults) -> Option<C
     Some(CornersDocument { min, max })
 }
 
+fn points(message: &proto::Points) -> Vec<[f64; 3]> {
+    let points = message.points.iter();
+    points.map(|point| (*point).into()).collect()
+}
+
 fn unknown(pointer: &str, sent: i32, faults: &mut Faults) {
     let detail = "is not a value that is known here";
     faults.push(Fault {
@@ -157,12 +183,37 @@ impl From<SolidSceneSettings> for proto::SolidSceneSettings {
             unit: Some(settings.unit),
             density: Some(settings.density),
             rounding: rounding.into(),
-            stock: settings.stock.map(|stock| proto::Box {
-                min: Some(stock.min.into()),
-                max: Some(stock.max.into()),
-            }),
+            stock_form: settings.stock.map(Into::into),
+            stock_polygon_error: settings.stock_polygon_error.map(Into::into),
             shapes: shapes.map(|(name, shape)| (name, shape.into())).collect(),
             polygon_error: errors.map(|(name, error)| (name, error.into())).collect(),
+        }
+    }
+}
+
+impl From<SolidStockDocument> for StockForm {
+    fn from(stock: SolidStockDocument) -> Self {
+        let SolidStockDocument {
+            min,
+            max,
+            hull,
+            cylinder,
+        } = stock;
+        match (hull, cylinder) {
+            (Some(points), _) => Self::StockHull(points.into()),
+            (None, Some(cylinder)) => Self::StockCylinder(cylinder.into()),
+            (None, None) => Self::Stock(proto::Box {
+                min: min.map(Into::into),
+                max: max.map(Into::into),
+            }),
+        }
+    }
+}
+
+impl From<Vec<[f64; 3]>> for proto::Points {
+    fn from(points: Vec<[f64; 3]>) -> Self {
+        Self {
+            points: points.into_iter().map(Into::into).collect(),
         }
     }
 }
@@ -174,15 +225,21 @@ impl From<PolygonError> for proto::PolygonError {
 }
 
 impl From<ShapeDocument> for proto::Shape {
-    fn from(shape: ShapeDocument) -> Self {
-        let form = match shape {
-            ShapeDocument::Flat(cutter) => Form::Flat(cutter.into()),
-            ShapeDocument::Ball(cutter) => Form::Ball(cutter.into()),
-            ShapeDocument::Bull(cutter) => Form::Bull(cutter.into()),
-            ShapeDocument::Vee(cutter) => Form::Vee(cutter.into()),
-            ShapeDocument::Drill(cutter) => Form::Drill(cutter.into()),
-            ShapeDocument::Tapered(cutter) => Form::Tapered(cutter.into()),
-            ShapeDocument::Box(of) => {
+    fn from(ShapeDocument { form, top }: ShapeDocument) -> Self {
+        Self { top, ..form.into() }
+    }
+}
+
+impl From<FormDocument> for proto::Shape {
+    fn from(form: FormDocument) -> Self {
+        let form = match form {
+            FormDocument::Flat(cutter) => Form::Flat(cutter.into()),
+            FormDocument::Ball(cutter) => Form::Ball(cutter.into()),
+            FormDocument::Bull(cutter) => Form::Bull(cutter.into()),
+            FormDocument::Vee(cutter) => Form::Vee(cutter.into()),
+            FormDocument::Drill(cutter) => Form::Drill(cutter.into()),
+            FormDocument::Tapered(cutter) => Form::Tapered(cutter.into()),
+            FormDocument::Box(of) => {
                 let (min, max) = match of {
                     BoxDocument::Size(size) => ([0.0; 3], size),
                     BoxDocument::Corners(CornersDocument { min, max }) => (min, max),
@@ -192,14 +249,15 @@ impl From<ShapeDocument> for proto::Shape {
                     max: Some(max.into()),
                 })
             }
-            ShapeDocument::Hull(points) => Form::Hull(proto::Points {
-                points: points.into_iter().map(Into::into).collect(),
-            }),
-            ShapeDocument::Parts(parts) => Form::Parts(proto::Shapes {
+            FormDocument::Hull(points) => Form::Hull(points.into()),
+            FormDocument::Parts(parts) => Form::Parts(proto::Shapes {
                 shapes: parts.into_iter().map(Into::into).collect(),
             }),
         };
-        Self { form: Some(form) }
+        Self {
+            form: Some(form),
+            top: None,
+        }
     }
 }
 
@@ -239,9 +297,7 @@ pub(super) fn solid(solid: &(CubeId, Body), shapes: &Shapes, scale: Scale) -> pr
         shape,
         from: from.or(at).map(Into::into),
         to: to.or(at).map(Into::into),
-        hull: hull.map(|points| proto::Points {
-            points: points.into_iter().map(Into::into).collect(),
-        }),
+        hull: hull.map(Into::into),
     }
 }
 
@@ -365,5 +421,122 @@ impl<const N: usize> From<FixedPoint<[String; N]>> for proto::FixedPoint {
             divisor: several.divisor,
             error_max: several.error_max,
         }
+    }
+}
+
+impl TryFrom<proto::SolidMassProperties> for SolidProperties {
+    type Error = Missing;
+
+    fn try_from(message: proto::SolidMassProperties) -> Result<Self, Missing> {
+        Ok(Self {
+            scene: Some(message.scene),
+            seq: Some(message.seq),
+            solids: message.solids,
+            measures: message.measures.ok_or(Missing("measures"))?.try_into()?,
+            bounds: message.bounds.map(TryInto::try_into).transpose()?,
+        })
+    }
+}
+
+impl TryFrom<proto::SolidMeasures> for SolidMeasures {
+    type Error = Missing;
+
+    fn try_from(message: proto::SolidMeasures) -> Result<Self, Missing> {
+        let edges = message.edge_length.ok_or(Missing("edge_length"))?;
+        let error_max = message.error_max.ok_or(Missing("error_max"))?;
+        let exact = message.exact.ok_or(Missing("exact"))?;
+        Ok(Self {
+            volume: message.volume,
+            area: message.area,
+            edge_length: SolidEdgeLength {
+                total: edges.total,
+                convex: edges.convex,
+                concave: edges.concave,
+                crossing: edges.crossing,
+            },
+            mass: message.mass,
+            centroid: message.centroid.map(Into::into),
+            inertia: message.inertia.ok_or(Missing("inertia"))?.into(),
+            error_max: ErrorBounds {
+                volume: error_max.volume,
+                area: error_max.area,
+                edge_length: error_max.edge_length,
+                centroid: error_max.centroid,
+                inertia: error_max.inertia,
+            },
+            exact: ExactSolids {
+                steps_per_unit: exact.steps_per_unit,
+                volume: single(exact.volume, "exact.volume")?,
+                area: single(exact.area, "exact.area")?,
+                edge_length: several(exact.edge_length, "exact.edge_length")?,
+                first_moments: several(exact.first_moments, "exact.first_moments")?,
+                second_moments: several(exact.second_moments, "exact.second_moments")?,
+            },
+        })
+    }
+}
+
+/// The one integer of a measure.
+fn single(
+    message: Option<proto::FixedPoint>,
+    name: &'static str,
+) -> Result<FixedPoint<String>, Missing> {
+    let FixedPoint {
+        value: [value],
+        divisor,
+        error_max,
+    } = several(message, name)?;
+    Ok(FixedPoint {
+        value,
+        divisor,
+        error_max,
+    })
+}
+
+/// The integers of measures of a kind.
+fn several<const N: usize>(
+    message: Option<proto::FixedPoint>,
+    name: &'static str,
+) -> Result<FixedPoint<[String; N]>, Missing> {
+    let message = message.ok_or(Missing(name))?;
+    Ok(FixedPoint {
+        value: message.values.try_into().map_err(|_| Missing(name))?,
+        divisor: message.divisor,
+        error_max: message.error_max,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::engine::solids::{ErrorMax, Totals};
+    use crate::wire::solids::solid_properties;
+
+    /// What is made a message of comes back, and a message that lacks a part is refused by its name.
+    #[test]
+    fn solids_come_back() {
+        let mut totals = Totals::default();
+        totals.measures.volume6 = 6 << 44;
+        totals.measures.area2 = 77;
+        totals.measures.edge_length2 = [1, 2, 3];
+        let error_max = ErrorMax::default();
+        let scale = Scale::new(10).unwrap();
+        let shown = solid_properties(Some("part"), Some(7), (&totals, &error_max), scale, 2.0);
+        let message = proto::SolidMassProperties::from(SolidSceneProperties {
+            measured: shown.clone(),
+            removed: None,
+            remaining: Some(shown.measures.clone()),
+        });
+        assert_eq!(
+            SolidProperties::try_from(message.clone()),
+            Ok(shown.clone())
+        );
+        let remaining = message.remaining.clone().unwrap();
+        assert_eq!(SolidMeasures::try_from(remaining), Ok(shown.measures));
+        let mut broken = message;
+        let exact = broken.measures.as_mut().unwrap().exact.as_mut().unwrap();
+        exact.edge_length.as_mut().unwrap().values.pop();
+        let refused = SolidProperties::try_from(broken);
+        assert_eq!(refused, Err(Missing("exact.edge_length")));
     }
 }

@@ -44,7 +44,7 @@ pub(super) fn body_of<'a>(
             let (from, to) = (scale.point(*from, "/from")?, scale.point(*to, "/to")?);
             carried(name, shapes(name), from, to, "/to")
         }
-        (None, None, None, None, Some(points)) => Ok(Body::solid(hull(points, scale, "/hull")?)),
+        (None, None, None, None, Some(points)) => Ok(Body::solid(hull(points, scale, "/hull")?.0)),
         _ => Err(SolidFault::new(
             "",
             "is neither a shape with at, nor a shape with from and to, nor a hull",

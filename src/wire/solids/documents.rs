@@ -3,20 +3,104 @@
 use std::fmt;
 
 use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer};
-use serde::de::{Deserializer, MapAccess, SeqAccess, Visitor};
+use serde::de::{Deserializer, Error, MapAccess, SeqAccess, Visitor};
 use serde::{Deserialize, Serialize, Serializer};
 use utoipa::ToSchema;
 
 use crate::wire::documents::Id;
-use crate::wire::objects::{LIST_OR_OBJECT, not_null, objects_only, written};
+use crate::wire::objects::{
+    CHOICE_AND_TOP, LIST_OR_OBJECT, ObjectOnly, TOP, not_null, objects_only, written,
+};
 use crate::wire::vector::Vector;
 
-/// What solids of a scene share: one of these forms. Lengths are in user units; the origin is the shape's anchor, which is carried along
-/// the path of a solid.
+/// What solids of a scene share. Lengths are in user units; the origin is the shape's anchor, which is carried along the path of a solid.
+#[derive(Clone, PartialEq, Debug, Serialize, ToSchema)]
+#[schema(as = Shape)]
+pub struct ShapeDocument {
+    /// What it is.
+    #[serde(flatten)]
+    pub form: FormDocument,
+    /// The height, in the scene, that its top reaches up to wherever it is carried: then the shanks of cutters that stand out of a stock end in
+    /// one plane, and what they sweep has fewer edges. Its own top is a horizontal facet with upright ones around it, and no solid of it
+    /// may stand higher. Units: user units.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    pub top: Option<f64>,
+}
+
+impl From<FormDocument> for ShapeDocument {
+    fn from(form: FormDocument) -> Self {
+        Self { form, top: None }
+    }
+}
+
+impl<'de> Deserialize<'de> for ShapeDocument {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Read;
+        impl<'de> Visitor<'de> for Read {
+            type Value = ShapeDocument;
+            fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+                formatter.write_str("a shape")
+            }
+            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<ShapeDocument, A::Error> {
+                let (mut form, mut top) = (None, None);
+                while let Some(member) = map.next_key()? {
+                    let read = match member {
+                        Member::Top if top.is_some() => {
+                            return Err(A::Error::duplicate_field(TOP));
+                        }
+                        Member::Top => {
+                            top = Some(map.next_value()?);
+                            continue;
+                        }
+                        Member::Flat => FormDocument::Flat(map.next_value()?),
+                        Member::Ball => FormDocument::Ball(map.next_value()?),
+                        Member::Bull => FormDocument::Bull(map.next_value()?),
+                        Member::Vee => FormDocument::Vee(map.next_value()?),
+                        Member::Drill => FormDocument::Drill(map.next_value()?),
+                        Member::Tapered => FormDocument::Tapered(map.next_value()?),
+                        Member::Box => FormDocument::Box(map.next_value()?),
+                        Member::Hull => FormDocument::Hull(map.next_value()?),
+                        Member::Parts => FormDocument::Parts(map.next_value()?),
+                    };
+                    if form.replace(read).is_some() {
+                        return Err(A::Error::custom("a shape has one form"));
+                    }
+                }
+                let form = form.ok_or_else(|| A::Error::custom("a shape has a form"))?;
+                Ok(ShapeDocument { form, top })
+            }
+        }
+        deserializer.deserialize_struct(CHOICE_AND_TOP, MEMBERS, ObjectOnly(Read))
+    }
+}
+
+/// The names of the members of a shape, as [`Member`] has them.
+const MEMBERS: &[&str] = &[
+    "flat", "ball", "bull", "vee", "drill", "tapered", "box", "hull", "parts", TOP,
+];
+
+/// The forms and what may stand beside them.
+#[derive(Deserialize)]
+#[serde(field_identifier, rename_all = "snake_case")]
+enum Member {
+    Flat,
+    Ball,
+    Bull,
+    Vee,
+    Drill,
+    Tapered,
+    Box,
+    Hull,
+    Parts,
+    Top,
+}
+
+/// The form of a shape, or of one of its parts: one of these.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
-#[schema(as = Shape)]
-pub enum ShapeDocument {
+#[schema(as = Form)]
+pub enum FormDocument {
     /// A flat end mill.
     Flat(CutterDocument),
     /// A ball end mill.
@@ -36,7 +120,7 @@ pub enum ShapeDocument {
     Hull(Vec<[f64; 3]>),
     /// Several convex shapes that move together, such as a cutter and its holder; none of them has parts of its own.
     #[schema(no_recursion)]
-    Parts(Vec<ShapeDocument>),
+    Parts(Vec<FormDocument>),
 }
 
 /// A round cutter that points down. Lengths are whole numbers of lattice steps.

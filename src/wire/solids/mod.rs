@@ -16,13 +16,15 @@ mod scale;
 mod settings;
 mod shape;
 mod stl;
+mod stock;
 
 pub use self::body::{Shapes, body};
 pub use self::change::SolidChange;
 pub(in crate::wire) use self::change::{decoded, operation};
 pub(in crate::wire) use self::documents::default_sides;
 pub use self::documents::{
-    BoxDocument, CornersDocument, CutterDocument, FitName, ShapeDocument, SolidDocument,
+    BoxDocument, CornersDocument, CutterDocument, FitName, FormDocument, ShapeDocument,
+    SolidDocument,
 };
 pub(in crate::wire) use self::properties::solid_measures;
 pub use self::properties::{
@@ -36,6 +38,7 @@ pub(in crate::wire) use self::settings::{
 pub use self::settings::{SolidSettings, SolidSettingsDocument};
 pub use self::shape::{ReadShape, shape};
 pub use self::stl::{InvalidStl, stl_body};
+pub use self::stock::{ReadStock, SolidStockDocument};
 
 /// What is wrong with a document, and where.
 #[derive(Clone, PartialEq, Eq, Debug, thiserror::Error)]

@@ -4,7 +4,7 @@
 //! from the origin loses nothing.
 
 use ethnum::I256;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::scale::Scale;
@@ -13,7 +13,7 @@ use crate::wire::convert::{UserBounds, float, float256};
 use crate::wire::vector::Vector;
 
 /// Lengths of the union's edges. An ordinary edge counts once, one along which two solids touch twice. Units: user units.
-#[derive(Clone, Copy, PartialEq, Debug, Serialize, ToSchema)]
+#[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct SolidEdgeLength {
     /// All edges.
     pub total: f64,
@@ -26,7 +26,7 @@ pub struct SolidEdgeLength {
 }
 
 /// How far rounding to fixed-point integers can be off, at most, in user units.
-#[derive(Clone, Copy, PartialEq, Debug, Serialize, ToSchema)]
+#[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct ErrorBounds {
     /// Of the volume. Units: user units cubed.
     pub volume: f64,
@@ -41,7 +41,7 @@ pub struct ErrorBounds {
 }
 
 /// One measure, or several of a kind, as fixed-point integers: divided by `divisor` they are in lattice steps to their power.
-#[derive(Clone, PartialEq, Eq, Debug, Serialize, ToSchema)]
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct FixedPoint<T> {
     /// The integers, in decimal.
     pub value: T,
@@ -54,7 +54,7 @@ pub struct FixedPoint<T> {
 }
 
 /// The exact state: a function of the set of solids alone, whatever the order in which they came. Moments are about the lattice origin.
-#[derive(Clone, PartialEq, Eq, Debug, Serialize, ToSchema)]
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct ExactSolids {
     /// Lattice steps in a user unit.
     pub steps_per_unit: String,
@@ -76,7 +76,7 @@ pub struct ExactSolids {
 }
 
 /// What is measured of a union of solids, or of a part of the stock: floats in user units for people, and the exact integers for machines.
-#[derive(Clone, PartialEq, Debug, Serialize, ToSchema)]
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct SolidMeasures {
     /// Volume. Units: user units cubed.
     pub volume: f64,
@@ -99,7 +99,7 @@ pub struct SolidMeasures {
 }
 
 /// The mass properties of a union of solids; of a scene with a stock, of what they remove from it.
-#[derive(Clone, PartialEq, Debug, Serialize, ToSchema)]
+#[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct SolidProperties {
     /// The scene; null where there is none.
     #[schema(example = "milled")]

@@ -12,12 +12,12 @@ use utoipa::ToSchema;
 use super::documents::ShapeDocument;
 use super::scale::Scale;
 use super::shape::shape;
-use crate::engine::solids;
-use crate::geometry::Stock;
-use crate::geometry::convex::{Deviation, Solid};
+use super::stock::SolidStockDocument;
+use crate::engine::solids::Stock;
+use crate::geometry::convex::Deviation;
 use crate::service::{NamedShape, SHAPES_MAX, Shapes};
 use crate::wire::convert::{
-    DENSITY_MAX, KindName, Rounding, STEPS_PER_UNIT_MAX, StockDocument, UNIT_BYTES_MAX, whole,
+    DENSITY_MAX, KindName, Rounding, STEPS_PER_UNIT_MAX, UNIT_BYTES_MAX, whole,
 };
 use crate::wire::objects::{not_null, objects_only};
 use crate::wire::problem::{Fault, Faults};
@@ -53,7 +53,7 @@ pub struct SolidSettingsDocument {
     /// what remains.
     #[serde(default, deserialize_with = "not_null")]
     #[schema(nullable = false)]
-    pub stock: Option<StockDocument>,
+    pub stock: Option<SolidStockDocument>,
     /// Shapes by their names, to begin with; at most 1,024.
     #[serde(default, deserialize_with = "each_name_once")]
     #[schema(example = json!({"t1": {"flat": {"diameter": 6, "length": 25}}}))]
@@ -107,7 +107,7 @@ pub struct SolidSettings {
     density: f64,
     rounding: Rounding,
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    stock: Option<StockDocument>,
+    stock: Option<SolidStockDocument>,
 }
 
 /// The settings of a scene of solids as they are answered, with its shapes.
@@ -126,7 +126,11 @@ pub(in crate::wire) struct SolidSceneSettings {
     /// The block of material that the solids are cut from; left out when there is none.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
-    pub(in crate::wire) stock: Option<StockDocument>,
+    pub(in crate::wire) stock: Option<SolidStockDocument>,
+    /// How far the polygon of a cylindrical stock is from its circle; left out of any other.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    pub(in crate::wire) stock_polygon_error: Option<PolygonError>,
     /// The shapes by their names, as they can be sent again; left out while the scene does not answer.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
@@ -163,6 +167,15 @@ pub(in crate::wire) struct PolygonError {
     pub(in crate::wire) outside: f64,
     /// How far they stay inside of them.
     pub(in crate::wire) inside: f64,
+}
+
+impl PolygonError {
+    pub(super) fn of(Deviation { outside, inside }: Deviation, scale: Scale) -> Self {
+        Self {
+            outside: scale.deviation(outside),
+            inside: scale.deviation(inside),
+        }
+    }
 }
 
 impl Default for SolidSettingsDocument {
@@ -217,13 +230,15 @@ impl SolidSettings {
                 );
             }
         }
+        let stock = self.stock.as_ref();
         SolidSceneSettings {
             kind: self.kind,
             steps_per_unit: self.steps_per_unit,
             unit: self.unit.clone(),
             density: self.density,
             rounding: self.rounding,
-            stock: self.stock,
+            stock: self.stock.clone(),
+            stock_polygon_error: stock.and_then(|stock| stock.polygon_error(self.scale())),
             polygon_error: shapes.map(|_| errors),
             shapes: shapes.map(|_| documents),
         }
@@ -267,9 +282,9 @@ pub(in crate::wire) fn check(
     let scale = scale?;
     let mut stock = None;
     if let Some(document) = &wanted.stock {
-        match block(document, scale) {
-            Ok(block) => stock = Some(block),
-            Err((pointer, detail)) => note(format!("/stock{pointer}"), detail),
+        match document.read(scale) {
+            Ok(read) => stock = Some(read),
+            Err(fault) => note(format!("/stock{}", fault.pointer), fault.what),
         }
     }
     let mut shapes = Vec::new();
@@ -286,13 +301,7 @@ pub(in crate::wire) fn check(
             Err((pointer, detail)) => note(format!("/shapes/{}{pointer}", escaped(name)), detail),
         }
     }
-    let user = |stock: Stock| {
-        let corner = |at: [i32; 3]| at.map(|steps| scale.user(steps.into()));
-        StockDocument {
-            min: corner(stock.bounds().min),
-            max: corner(stock.bounds().max),
-        }
-    };
+    let (stock, document) = stock.map(|read| (read.stock, read.document)).unzip();
     faults.is_empty().then(|| NewSolids {
         settings: SolidSettings {
             kind: wanted.kind,
@@ -300,30 +309,11 @@ pub(in crate::wire) fn check(
             unit: unit.clone(),
             density: wanted.density,
             rounding: wanted.rounding,
-            stock: stock.map(user),
+            stock: document,
         },
         stock,
         shapes,
     })
-}
-
-/// The lattice box of a stock in user units.
-fn block(document: &StockDocument, scale: Scale) -> Result<Stock, (String, String)> {
-    let corner = |at, pointer| {
-        let point = scale.point(at, pointer);
-        point.map_err(|fault| (fault.pointer, fault.what))
-    };
-    let (min, max) = (corner(document.min, "/min")?, corner(document.max, "/max")?);
-    let (least, greatest) = (min.wide(), max.wide());
-    if let Some(axis) = (0..3).find(|&axis| least[axis] >= greatest[axis]) {
-        let what = format!("= {} is not above the least corner's", document.max[axis]);
-        return Err((format!("/max/{axis}"), what));
-    }
-    let wrong = |what: String| (String::new(), what);
-    let stock = Stock::new(least, greatest).map_err(|invalid| wrong(invalid.to_string()))?;
-    let solid = Solid::cuboid(min, max).map_err(|invalid| wrong(invalid.to_string()))?;
-    solids::Stock::new(solid).map_err(|invalid| wrong(invalid.to_string()))?;
-    Ok(stock)
 }
 
 /// A shape with its name.
@@ -347,13 +337,10 @@ pub(in crate::wire) fn named_shape(
         return Err((String::new(), detail));
     }
     let read = shape(document, scale).map_err(|fault| (fault.pointer, fault.what))?;
-    let Deviation { outside, inside } = read.deviation;
     let defined = DefinedShape {
         shape: document.clone(),
-        polygon_error: (read.deviation != Deviation::default()).then(|| PolygonError {
-            outside: scale.deviation(outside),
-            inside: scale.deviation(inside),
-        }),
+        polygon_error: (read.deviation != Deviation::default())
+            .then(|| PolygonError::of(read.deviation, scale)),
     };
     Ok(NamedShape {
         name: name.to_owned(),

@@ -2,12 +2,15 @@
 
 use crate::engine::solids::Shape;
 use crate::geometry::convex::{
-    Cutter, Deviation, End, Fit, InvalidCutter, Point, Solid, VERTICES_MAX,
+    Cutter, Deviation, End, Fit, InvalidCutter, InvalidSweep, Point, Solid, VERTICES_MAX,
 };
 
 use super::SolidFault;
-use super::documents::{BoxDocument, CornersDocument, CutterDocument, FitName, ShapeDocument};
+use super::documents::{
+    BoxDocument, CornersDocument, CutterDocument, FitName, FormDocument, ShapeDocument,
+};
 use super::scale::{Scale, angle};
+use crate::wire::objects::TOP;
 
 /// Most points of a hull, whether or not they become vertices: a hull of many more could take minutes.
 const HULL_POINTS_MAX: usize = 4 * VERTICES_MAX;
@@ -32,9 +35,10 @@ pub struct ReadShape {
 /// The first fault, with its place in the document.
 pub fn shape(document: &ShapeDocument, scale: Scale) -> Result<ReadShape, SolidFault> {
     let mut deviation = Deviation::default();
-    let parts = match document {
-        ShapeDocument::Parts(parts) => {
-            let part = |(index, part): (usize, &ShapeDocument)| {
+    let form = &document.form;
+    let parts = match form {
+        FormDocument::Parts(parts) => {
+            let part = |(index, part): (usize, &FormDocument)| {
                 convex(part, scale, &mut deviation)
                     .map_err(|fault| fault.within(&format!("/parts/{index}")))
             };
@@ -44,35 +48,54 @@ pub fn shape(document: &ShapeDocument, scale: Scale) -> Result<ReadShape, SolidF
                 .map(part)
                 .collect::<Result<_, _>>()?
         }
-        _ => vec![convex(document, scale, &mut deviation)?],
+        _ => vec![convex(form, scale, &mut deviation)?],
     };
     let shape =
         Shape::new(parts).map_err(|invalid| SolidFault::new("/parts", invalid.to_string()))?;
+    let shape = match document.top {
+        Some(height) => with_top(shape, height, scale)?,
+        None => shape,
+    };
     Ok(ReadShape { shape, deviation })
+}
+
+/// The same shape, which reaches up to a height in user units wherever it is carried.
+fn with_top(shape: Shape, height: f64, scale: Scale) -> Result<Shape, SolidFault> {
+    let fault = |what: String| SolidFault::new(format!("/{TOP}"), what);
+    let top = scale.point([0.0, 0.0, height], "");
+    let [_, _, top] = top.map_err(|wrong| fault(wrong.what))?.coordinates();
+    if shape.parts().iter().all(Solid::has_top) {
+        Ok(shape.with_top(top))
+    } else {
+        Err(fault(format!(
+            "cannot be: of the shape or one of its parts, {}",
+            InvalidSweep::NoTop
+        )))
+    }
 }
 
 /// Reads a shape of one part; `deviation` becomes the greater of its own and the part's.
 fn convex(
-    document: &ShapeDocument,
+    form: &FormDocument,
     scale: Scale,
     deviation: &mut Deviation,
 ) -> Result<Solid, SolidFault> {
-    match document {
-        ShapeDocument::Flat(cutter) => Kind::Flat.solid(cutter, scale, deviation),
-        ShapeDocument::Ball(cutter) => Kind::Ball.solid(cutter, scale, deviation),
-        ShapeDocument::Bull(cutter) => Kind::Bull.solid(cutter, scale, deviation),
-        ShapeDocument::Vee(cutter) => Kind::Vee.solid(cutter, scale, deviation),
-        ShapeDocument::Drill(cutter) => Kind::Drill.solid(cutter, scale, deviation),
-        ShapeDocument::Tapered(cutter) => Kind::Tapered.solid(cutter, scale, deviation),
-        ShapeDocument::Box(BoxDocument::Size(size)) => {
+    match form {
+        FormDocument::Flat(cutter) => Kind::Flat.solid(cutter, scale, deviation),
+        FormDocument::Ball(cutter) => Kind::Ball.solid(cutter, scale, deviation),
+        FormDocument::Bull(cutter) => Kind::Bull.solid(cutter, scale, deviation),
+        FormDocument::Vee(cutter) => Kind::Vee.solid(cutter, scale, deviation),
+        FormDocument::Drill(cutter) => Kind::Drill.solid(cutter, scale, deviation),
+        FormDocument::Tapered(cutter) => Kind::Tapered.solid(cutter, scale, deviation),
+        FormDocument::Box(BoxDocument::Size(size)) => {
             cuboid(Point::ORIGIN, scale.point(*size, "/box")?, "/box")
         }
-        ShapeDocument::Box(BoxDocument::Corners(CornersDocument { min, max })) => {
+        FormDocument::Box(BoxDocument::Corners(CornersDocument { min, max })) => {
             let least = scale.point(*min, "/box/min")?;
             cuboid(least, scale.point(*max, "/box/max")?, "/box/max")
         }
-        ShapeDocument::Hull(points) => hull(points, scale, "/hull"),
-        ShapeDocument::Parts(_) => Err(SolidFault::new("/parts", "is inside the parts of a shape")),
+        FormDocument::Hull(points) => Ok(hull(points, scale, "/hull")?.0),
+        FormDocument::Parts(_) => Err(SolidFault::new("/parts", "is inside the parts of a shape")),
     }
 }
 
@@ -87,8 +110,22 @@ fn cuboid(least: Point, greatest: Point, pointer: &str) -> Result<Solid, SolidFa
         .map_err(|invalid| SolidFault::new(pointer, format!("is wrong: {invalid}")))
 }
 
-/// The convex hull of points in user units, which are at `pointer`.
-pub(super) fn hull(points: &[[f64; 3]], scale: Scale, pointer: &str) -> Result<Solid, SolidFault> {
+/// An upright cylinder, and how far it is from a round one.
+pub(super) fn cylinder(
+    document: &CutterDocument,
+    scale: Scale,
+) -> Result<(Solid, Deviation), SolidFault> {
+    let mut deviation = Deviation::default();
+    let solid = Kind::Cylinder.solid(document, scale, &mut deviation)?;
+    Ok((solid, deviation))
+}
+
+/// The convex hull of points in user units, which are at `pointer`, and the points on the lattice.
+pub(super) fn hull(
+    points: &[[f64; 3]],
+    scale: Scale,
+    pointer: &str,
+) -> Result<(Solid, Vec<Point>), SolidFault> {
     if points.len() > HULL_POINTS_MAX {
         let what = format!("has {} points; the most is {HULL_POINTS_MAX}", points.len());
         return Err(SolidFault::new(pointer, what));
@@ -99,8 +136,9 @@ pub(super) fn hull(points: &[[f64; 3]], scale: Scale, pointer: &str) -> Result<S
         .enumerate()
         .map(point)
         .collect::<Result<_, _>>()?;
-    Solid::hull(&points)
-        .map_err(|invalid| SolidFault::new(pointer, format!("is no solid: {invalid}")))
+    let solid = Solid::hull(&points)
+        .map_err(|invalid| SolidFault::new(pointer, format!("is no solid: {invalid}")))?;
+    Ok((solid, points))
 }
 
 /// The kinds of cutters, by what they are told.
@@ -112,6 +150,8 @@ enum Kind {
     Vee,
     Drill,
     Tapered,
+    /// A round bar, which no cutter is.
+    Cylinder,
 }
 
 impl Kind {
@@ -123,6 +163,7 @@ impl Kind {
             Self::Vee => "vee",
             Self::Drill => "drill",
             Self::Tapered => "tapered",
+            Self::Cylinder => "cylinder",
         }
     }
 
@@ -171,7 +212,7 @@ impl Kind {
         let diameter = length("diameter", document.diameter)?;
         let rings = document.rings.unwrap_or(RINGS);
         let end = match self {
-            Self::Flat => End::Flat,
+            Self::Flat | Self::Cylinder => End::Flat,
             Self::Ball => End::Round {
                 corner_diameter: diameter,
                 rings,
