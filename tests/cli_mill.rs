@@ -1,10 +1,9 @@
 //! `union3d mill`: from a program to the mass properties of what the cutter covers, here and on a server.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::pin::Pin;
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Command, Output, Stdio};
 use std::sync::{Arc, Mutex};
 
 use axum::body::Bytes;
@@ -28,8 +27,11 @@ use union3d::wire::proto::{
 
 #[path = "oracle/program.rs"]
 mod program;
+#[path = "oracle/serve.rs"]
+mod serve;
 
 use program::union3d;
+use serve::Server;
 
 /// Mills a program from standard input: the JSON it prints, and its warnings.
 #[track_caller]
@@ -606,53 +608,6 @@ fn what_a_server_refuses_is_said() {
     to_server("localhost:7373", &["http://127.0.0.1:7373"]);
     to_server("https://127.0.0.1:7373", &["http://"]);
     to_server("7373", &["http://127.0.0.1:7373"]);
-}
-
-/// A server of its own, ended with the test.
-struct Server {
-    child: Child,
-    url: String,
-    grpc: String,
-}
-
-impl Server {
-    fn start(data: &Path) -> Self {
-        Self::start_at(data, "127.0.0.1:0")
-    }
-
-    /// With gRPC at an address.
-    fn start_at(data: &Path, grpc: &str) -> Self {
-        let mut child = Command::new(env!("CARGO_BIN_EXE_union3d"))
-            .args([
-                "serve",
-                "--http",
-                "127.0.0.1:0",
-                "--grpc",
-                grpc,
-                "--log-filter",
-                "error",
-                "--data",
-            ])
-            .arg(data)
-            .stdout(Stdio::piped())
-            .spawn()
-            .expect("the binary runs");
-        let mut line = String::new();
-        BufReader::new(child.stdout.take().expect("piped"))
-            .read_line(&mut line)
-            .unwrap();
-        let mut words = line.split_whitespace();
-        let url = words.nth(1).expect("the address").to_owned();
-        let grpc = words.next().expect("the other address").to_owned();
-        Self { child, url, grpc }
-    }
-}
-
-impl Drop for Server {
-    fn drop(&mut self) {
-        self.child.kill().expect("it is ours");
-        self.child.wait().expect("it ends");
-    }
 }
 
 #[test]

@@ -263,7 +263,7 @@ fn the_stock_may_be_round_or_a_hull() {
     check_refused(
         &["--tool", "flat:4", "--stock=0,0,0:1,1,0"],
         PLUNGE,
-        &["--stock", "no volume"],
+        &["--stock", "/max/2 = 0 is not above"],
     );
     check_refused(
         &["--edge", "4", "--stock", "cylinder:0,0,-10:20x10"],

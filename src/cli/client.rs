@@ -5,11 +5,13 @@ use std::time::{Duration, Instant};
 use bytes::Bytes;
 use prost::Message;
 use reqwest::{StatusCode, Url, header};
+use serde::Serialize;
 use serde_json::{Value, json, value::RawValue};
 
 use union3d::geometry::Place;
 use union3d::wire::convert::{SettingsDocument, StockDocument};
 use union3d::wire::proto::Change;
+use union3d::wire::solids::ShapeDocument;
 
 /// How long a server that cannot be reached, cannot answer yet, or acknowledges nothing more, is tried again.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(30);
@@ -86,6 +88,22 @@ pub(crate) struct Client {
 impl Client {
     /// The scene that is wanted, made if it is not there, and the largest id in it (0 when it is empty).
     pub(crate) async fn open(server: &str, wanted: &SceneWanted) -> Result<(Self, u64), Failure> {
+        let mut this = Self::of(server, &wanted.name)?;
+        let Some(there) = this.describe().await? else {
+            this.create(&wanted.settings()).await?;
+            return Ok((this, 0));
+        };
+        compare(wanted, &there)?;
+        let largest = if field(&there, "cubes").as_u64() == Some(0) {
+            0
+        } else {
+            this.largest_id().await?
+        };
+        Ok((this, largest))
+    }
+
+    /// A scene of a server, whether or not it is there.
+    pub(crate) fn of(server: &str, scene_name: &str) -> Result<Self, Failure> {
         let address = |cause: String| Failure::Address {
             server: server.to_owned(),
             cause,
@@ -99,37 +117,44 @@ impl Client {
             .path_segments_mut()
             .map_err(|()| address("it has no path".to_owned()))?
             .pop_if_empty()
-            .extend(["v1", "scenes", &wanted.name]);
+            .extend(["v1", "scenes", scene_name]);
         let http = reqwest::Client::builder()
             .connect_timeout(Duration::from_secs(5))
             .build()
             .map_err(|error| address(causes(&error)))?;
-        let mut this = Self {
+        Ok(Self {
             http,
             scene,
             reached: false,
-        };
-        let request = this.http.get(this.scene.clone());
-        let answer = this.ask(request).await;
-        this.reached = true;
+        })
+    }
+
+    /// What the server says of the scene; none when it is not there.
+    pub(crate) async fn describe(&mut self) -> Result<Option<Value>, Failure> {
+        let request = self.http.get(self.scene.clone());
+        let answer = self.ask(request).await;
+        self.reached = true;
         match answer {
-            Ok(text) => {
-                let there = parse(&this.scene, &text)?;
-                compare(wanted, &there)?;
-                let largest = if field(&there, "cubes").as_u64() == Some(0) {
-                    0
-                } else {
-                    this.largest_id().await?
-                };
-                Ok((this, largest))
-            }
-            Err(Failure::Refused { status, .. }) if status == StatusCode::NOT_FOUND => {
-                let request = this.http.put(this.scene.clone()).json(&wanted.settings());
-                this.ask(request).await?;
-                Ok((this, 0))
-            }
+            Ok(text) => parse(&self.scene, &text).map(Some),
+            Err(Failure::Refused { status, .. }) if status == StatusCode::NOT_FOUND => Ok(None),
             Err(failure) => Err(failure),
         }
+    }
+
+    /// Makes the scene.
+    pub(crate) async fn create(&self, settings: &impl Serialize) -> Result<(), Failure> {
+        let request = self.http.put(self.scene.clone()).json(settings);
+        self.ask(request).await.map(drop)
+    }
+
+    /// Defines a shape of the scene; one that is there already stays as it is, and another of its name is refused.
+    pub(crate) async fn define(&self, name: &str, shape: &ShapeDocument) -> Result<(), Failure> {
+        let mut url = self.below("shapes");
+        if let Ok(mut segments) = url.path_segments_mut() {
+            segments.push(name);
+        }
+        let request = self.http.put(url).json(shape);
+        self.ask(request).await.map(drop)
     }
 
     /// Address of the scene.
@@ -176,7 +201,12 @@ impl Client {
         self.change(&change, Some(key)).await
     }
 
-    async fn change(&self, change: &Change, key: Option<&str>) -> Result<Value, Failure> {
+    /// Applies a change, durably. `key` makes a second sending harmless.
+    pub(crate) async fn change(
+        &self,
+        change: &Change,
+        key: Option<&str>,
+    ) -> Result<Value, Failure> {
         let url = self.below("changes");
         let mut request = self
             .http

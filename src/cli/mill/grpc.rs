@@ -1,4 +1,4 @@
-//! A program on its way over gRPC: a window of lines in flight, sent again when the connection breaks.
+//! A program on its way over gRPC: a window of changes in flight, sent again when the connection breaks.
 
 use std::collections::VecDeque;
 use std::error::Error;
@@ -10,20 +10,22 @@ use tonic::transport::{Channel, Endpoint};
 use tonic::{Code, Status, Streaming};
 use uuid::Uuid;
 
-use super::super::client::{PATIENCE, SceneWanted, causes, inserted};
-use super::line::{LineChange, Material};
-use super::tally::Cut;
-use union3d::wire::convert;
+use super::super::client::{PATIENCE, SceneWanted, causes};
+use super::line::Material;
 use union3d::wire::grpc::Missing;
 use union3d::wire::proto::union_service_client::UnionServiceClient;
 use union3d::wire::proto::{
-    Box as Block, Change, CreateSceneRequest, Detail, GetMassPropertiesRequest, ListCubesRequest,
-    SceneSettings, StreamChangesRequest, StreamChangesResponse, StreamOpening, StreamedChange,
-    Volumes, stream_changes_request as request, stream_changes_response as response,
+    Box as Block, Change, CreateSceneRequest, Detail, GetMassPropertiesRequest,
+    GetMassPropertiesResponse, ListCubesRequest, Outcome, SceneSettings, StreamChangesRequest,
+    StreamChangesResponse, StreamOpening, StreamedChange, Volumes,
+    stream_changes_request as request, stream_changes_response as response,
 };
 
-/// Lines sent ahead of their acknowledgements: as many as the server takes in.
-const LINES_IN_FLIGHT_MAX: usize = 256;
+/// The calls of a server.
+pub(super) type Client = UnionServiceClient<Channel>;
+
+/// Changes sent ahead of their acknowledgements: as many as the server takes in.
+const IN_FLIGHT_MAX: usize = 256;
 
 /// The first and the longest pause before it is tried again.
 const PAUSE_MIN: Duration = Duration::from_millis(20);
@@ -71,155 +73,183 @@ impl Patience {
     }
 }
 
-/// A line that has been sent and not been acknowledged.
-struct Sent {
-    line: LineChange,
+/// A change that has been sent and not been acknowledged, and what it is for its sender.
+struct Sent<T> {
+    what: T,
     message: StreamedChange,
 }
 
-/// A scene of a server, and the stream of changes into it.
-pub(crate) struct GrpcStream {
+/// A change that has been acknowledged.
+pub(super) struct Done<T> {
+    /// What it is for its sender.
+    pub(super) what: T,
+    pub(super) outcome: Outcome,
+    /// What it removed itself: others may change the scene too.
+    pub(super) removed: i128,
+    /// The state after it.
+    pub(super) after: Material,
+}
+
+/// A scene of a server, and the stream of changes into it. `T` is what each change is for its sender.
+pub(super) struct GrpcStream<T> {
     server: String,
     scene: String,
-    client: UnionServiceClient<Channel>,
+    client: Client,
     to: mpsc::Sender<StreamChangesRequest>,
     from: Streaming<StreamChangesResponse>,
-    in_flight: VecDeque<Sent>,
-    next_id: u64,
+    in_flight: VecDeque<Sent<T>>,
     patience: Patience,
     /// Names this run in the keys of its changes, so that those sent twice act once.
     run: Uuid,
     sent: u64,
 }
 
-impl GrpcStream {
-    /// Opens the scene that is wanted, made if it is not there, and a stream into it.
-    pub(super) async fn open(server: &str, wanted: &SceneWanted) -> Result<Self, Failure> {
-        let address = |cause: String| Failure::Address {
+/// A connection to a server.
+pub(super) async fn connect(server: &str) -> Result<Client, Failure> {
+    let address = |cause: String| Failure::Address {
+        server: server.to_owned(),
+        cause,
+    };
+    let url = match server.strip_prefix("grpc://") {
+        Some(rest) => format!("http://{rest}"),
+        None => server.to_owned(),
+    };
+    let endpoint = Endpoint::from_shared(url)
+        .map_err(|error| address(error.to_string()))?
+        .connect_timeout(Duration::from_secs(5));
+    let channel = endpoint
+        .connect()
+        .await
+        .map_err(|error| Failure::Unreachable {
             server: server.to_owned(),
-            cause,
-        };
-        let url = match server.strip_prefix("grpc://") {
-            Some(rest) => format!("http://{rest}"),
-            None => server.to_owned(),
-        };
-        let endpoint = Endpoint::from_shared(url)
-            .map_err(|error| address(error.to_string()))?
-            .connect_timeout(Duration::from_secs(5));
-        let channel = endpoint
-            .connect()
-            .await
-            .map_err(|error| Failure::Unreachable {
-                server: server.to_owned(),
-                cause: causes(&error),
-            })?;
-        let mut client = UnionServiceClient::new(channel);
-        let refused = |status| Failure::Refused {
-            server: server.to_owned(),
-            status,
-        };
-        let settings = SceneSettings {
-            edge: wanted.edge,
-            steps_per_unit: Some(wanted.steps_per_unit),
-            unit: Some(wanted.unit.clone()),
-            stock: wanted.stock.map(|stock| Block {
-                min: Some(stock.min.into()),
-                max: Some(stock.max.into()),
-            }),
-            ..SceneSettings::default()
-        };
-        let create = CreateSceneRequest {
+            cause: causes(&error),
+        })?;
+    Ok(UnionServiceClient::new(channel))
+}
+
+/// What a server says against a call.
+pub(super) fn refused(server: &str) -> impl Fn(Status) -> Failure {
+    move |status| Failure::Refused {
+        server: server.to_owned(),
+        status,
+    }
+}
+
+/// Opens the scene of cubes that is wanted, made if it is not there, and answers the largest id in it; 0 when it is empty.
+pub(super) async fn open_cubes(
+    client: &mut Client,
+    server: &str,
+    wanted: &SceneWanted,
+) -> Result<u64, Failure> {
+    let refused = refused(server);
+    let settings = SceneSettings {
+        edge: wanted.edge,
+        steps_per_unit: Some(wanted.steps_per_unit),
+        unit: Some(wanted.unit.clone()),
+        stock: wanted.stock.map(|stock| Block {
+            min: Some(stock.min.into()),
+            max: Some(stock.max.into()),
+        }),
+        ..SceneSettings::default()
+    };
+    let create = CreateSceneRequest {
+        scene: wanted.name.clone(),
+        settings: Some(settings),
+        solids: None,
+    };
+    client.create_scene(create).await.map_err(&refused)?;
+    let properties = client
+        .get_mass_properties(GetMassPropertiesRequest {
             scene: wanted.name.clone(),
-            settings: Some(settings),
-            solids: None,
+            ..GetMassPropertiesRequest::default()
+        })
+        .await
+        .map_err(&refused)?
+        .into_inner()
+        .mass_properties;
+    let mut largest_id = 0;
+    if properties.as_ref().is_some_and(|scene| scene.cubes > 0) {
+        let request = ListCubesRequest {
+            scene: wanted.name.clone(),
         };
-        client.create_scene(create).await.map_err(refused)?;
-        let properties = client
-            .get_mass_properties(GetMassPropertiesRequest {
-                scene: wanted.name.clone(),
-                ..GetMassPropertiesRequest::default()
-            })
+        let mut cubes = client
+            .list_cubes(request)
             .await
-            .map_err(refused)?
-            .into_inner()
-            .mass_properties;
-        let mut largest_id = 0;
-        if properties.as_ref().is_some_and(|scene| scene.cubes > 0) {
-            let request = ListCubesRequest {
-                scene: wanted.name.clone(),
-            };
-            let mut cubes = client
-                .list_cubes(request)
-                .await
-                .map_err(refused)?
-                .into_inner();
-            while let Some(page) = cubes.message().await.map_err(refused)? {
-                let ids = page.cubes.into_iter().flat_map(|cubes| cubes.insert_id);
-                largest_id = ids.fold(largest_id, u64::max);
-            }
+            .map_err(&refused)?
+            .into_inner();
+        while let Some(page) = cubes.message().await.map_err(&refused)? {
+            let ids = page.cubes.into_iter().flat_map(|cubes| cubes.insert_id);
+            largest_id = ids.fold(largest_id, u64::max);
         }
-        let (to, from) = stream(&mut client, &wanted.name).await.map_err(refused)?;
+    }
+    Ok(largest_id)
+}
+
+impl<T> GrpcStream<T> {
+    /// Opens a stream into a scene that is there.
+    pub(super) async fn open(
+        server: &str,
+        mut client: Client,
+        scene: &str,
+    ) -> Result<Self, Failure> {
+        let (to, from) = stream(&mut client, scene).await.map_err(refused(server))?;
         Ok(Self {
             server: server.to_owned(),
-            scene: wanted.name.clone(),
+            scene: scene.to_owned(),
             client,
             to,
             from,
             in_flight: VecDeque::new(),
-            next_id: largest_id + 1,
             patience: Patience::default(),
             run: Uuid::new_v4(),
             sent: 0,
         })
     }
 
-    /// Sends a line; answers those that were acknowledged meanwhile.
-    pub(super) async fn send(&mut self, line: LineChange) -> Result<Vec<Cut>, Failure> {
+    /// The calls of its server.
+    pub(super) fn client(&mut self) -> &mut Client {
+        &mut self.client
+    }
+
+    /// Sends a change; answers those that were acknowledged meanwhile.
+    pub(super) async fn send(&mut self, what: T, change: Change) -> Result<Vec<Done<T>>, Failure> {
         self.sent += 1;
-        let change = Change {
-            r#move: Some(line.line),
-            duration: line.seconds(),
-            ..inserted(self.next_id, &line.places)
-        };
-        self.next_id += line.places.len() as u64;
         let message = StreamedChange {
             tag: self.sent,
             change: Some(change),
             idempotency_key: Some(format!("{}-{}", self.run.simple(), self.sent)),
         };
-        let mut cuts = Vec::new();
-        while self.in_flight.len() >= LINES_IN_FLIGHT_MAX {
-            cuts.extend(self.acknowledged().await?);
+        let mut done = Vec::new();
+        while self.in_flight.len() >= IN_FLIGHT_MAX {
+            done.extend(self.acknowledged().await?);
         }
         let sent = request::Message::Change(message.clone());
-        self.in_flight.push_back(Sent { line, message });
+        self.in_flight.push_back(Sent { what, message });
         // There is room for all that is in flight; when the channel is closed, reading says why and sends all again.
         drop(self.to.try_send(StreamChangesRequest {
             message: Some(sent),
         }));
-        Ok(cuts)
+        Ok(done)
     }
 
-    /// Waits for all that is in flight, and reads what the scene measures then, as the HTTP API writes it.
-    pub(super) async fn finish(mut self) -> Result<(Vec<Cut>, convert::MassProperties), Failure> {
-        let mut cuts = Vec::new();
+    /// Waits for all that is in flight, and reads what the scene measures then.
+    pub(super) async fn finish(
+        mut self,
+    ) -> Result<(Vec<Done<T>>, GetMassPropertiesResponse), Failure> {
+        let mut done = Vec::new();
         while !self.in_flight.is_empty() {
-            cuts.extend(self.acknowledged().await?);
+            done.extend(self.acknowledged().await?);
         }
         let request = GetMassPropertiesRequest {
             scene: self.scene.clone(),
             ..GetMassPropertiesRequest::default()
         };
         let answer = self.client.get_mass_properties(request).await;
-        let properties = answer.map_err(|status| self.refused(status))?;
-        let properties = properties.into_inner().mass_properties;
-        let properties = properties.ok_or_else(|| self.without("mass properties"))?;
-        let properties = properties.try_into();
-        let properties = properties.map_err(|Missing(name)| self.without(name))?;
-        Ok((cuts, properties))
+        let answer = answer.map_err(|status| self.refused(status))?;
+        Ok((done, answer.into_inner()))
     }
 
-    async fn acknowledged(&mut self) -> Result<Option<Cut>, Failure> {
+    async fn acknowledged(&mut self) -> Result<Option<Done<T>>, Failure> {
         let answer = self.from.message().await;
         self.read(answer).await
     }
@@ -228,7 +258,7 @@ impl GrpcStream {
     async fn read(
         &mut self,
         answer: Result<Option<StreamChangesResponse>, Status>,
-    ) -> Result<Option<Cut>, Failure> {
+    ) -> Result<Option<Done<T>>, Failure> {
         let message = match answer {
             Ok(Some(answer)) => answer.message,
             Ok(None) => {
@@ -251,7 +281,12 @@ impl GrpcStream {
                 self.patience = Patience::default();
                 let removed = outcome.volume_removed_exact.parse();
                 let removed = removed.map_err(|_| self.without("what the change removed"))?;
-                Ok(Some(oldest.line.cut(removed, after)))
+                Ok(Some(Done {
+                    what: oldest.what,
+                    outcome,
+                    removed,
+                    after,
+                }))
             }
             Some(response::Message::Refused(refused)) => {
                 let problem = refused.problem.unwrap_or_default();
@@ -291,23 +326,35 @@ impl GrpcStream {
     }
 
     fn refused(&self, status: Status) -> Failure {
-        Failure::Refused {
-            server: self.server.clone(),
-            status,
-        }
+        refused(&self.server)(status)
     }
 
     fn without(&self, missing: &'static str) -> Failure {
-        Failure::Unreadable {
-            server: self.server.clone(),
-            missing,
-        }
+        without(&self.server)(missing)
     }
+}
+
+/// What is missing from an answer of a server.
+pub(super) fn without(server: &str) -> impl Fn(&'static str) -> Failure {
+    move |missing| Failure::Unreadable {
+        server: server.to_owned(),
+        missing,
+    }
+}
+
+/// What an answer is made of, or what is missing from it.
+pub(super) fn read<M: TryInto<P, Error = Missing>, P>(
+    server: &str,
+    message: Option<M>,
+) -> Result<P, Failure> {
+    let message = message.ok_or_else(|| without(server)("mass properties"))?;
+    let read = message.try_into();
+    read.map_err(|Missing(name)| without(server)(name))
 }
 
 /// A stream into a scene, opened.
 async fn stream(
-    client: &mut UnionServiceClient<Channel>,
+    client: &mut Client,
     scene: &str,
 ) -> Result<
     (
@@ -316,7 +363,7 @@ async fn stream(
     ),
     Status,
 > {
-    let (to, requests) = mpsc::channel(LINES_IN_FLIGHT_MAX + 1);
+    let (to, requests) = mpsc::channel(IN_FLIGHT_MAX + 1);
     let opening = StreamOpening {
         scene: scene.to_owned(),
         detail: Detail::Volume.into(),

@@ -74,14 +74,19 @@ The report says, with --csv for each line: what was removed, how fast, which lin
 rapids (also those that cut nothing) at --rapid-rate, dwells (G4) as long as they say; with --acceleration also getting going and stopping. Ctrl-C ends it with the \
 report of what is done, and status 130.
 
-With --server or --grpc the cubes of --edge go into a scene of a running `union3d serve`, which is made if it is not there; its mass properties are \
-those of everything in it. Each line of the program is one change, with the line's number as its `move` and its machine time as its `duration`. A line of more than 65,536 cubes \
-becomes several changes, which share its time as they share its cubes. --grpc streams: changes follow each other without waiting for answers. --server asks over HTTP, \
-one line after the other.",
+With --server or --grpc all that goes into a scene of a running `union3d serve`, which is made if it is not there. --grpc streams: changes follow each other without \
+waiting for answers. --server asks over HTTP, one change after the other. Each move of tools with shapes is one change, its chords as several solids, with the line's number as its `move` and its machine time as \
+its `duration`; the report is the same as without a server. The scene has the same steps, unit and stock, and no solids yet. The solids of line L have the ids from L x 2^20 on. What shanks and holders hit is found in \
+this process, which follows what the program removes, because asking the server in between would hold up the stream; when somebody else changes the scene meanwhile, it is not known, and the report \
+says so and leaves it out. --replace changes the program in the scene to the one in the file: it lists the scene's solids, deletes those that the file does not have (whoever put them there), inserts those that \
+are new, and keeps all others with their ids; the totals are exact at once, and what the history says lines have removed is stale from the first line that differs on: for that, mill anew. \
+Each line of a square cutter is one change; one of more than 65,536 cubes becomes several changes, which share its time as they share its cubes.",
     after_long_help = "Examples:
   union3d mill pocket.gcode --tool flat:3.175 --stock 0,0,-10:80,60,0
   union3d mill part.nc --tool T1=flat:10,length=30,holder=40x50 --tool T2=ball:6,length=25,holder=30x50 --stock 0,0,-20:100,80,0 --csv lines.csv --fail-on-collision
   union3d mill part.nc --tools library.json --stock cylinder:0,0,-40:60x40 --acceleration 500
+  union3d mill part.nc --tool flat:6 --stock 0,0,-20:100,80,0 --grpc grpc://127.0.0.1:7374 --scene part
+  union3d mill part.nc --tool flat:6 --stock 0,0,-20:100,80,0 --grpc grpc://127.0.0.1:7374 --scene part --replace
   union3d mill pocket.gcode --edge 3.175 --stock 0,0,-10:80,60,0 --json
   union3d mill pocket.gcode --edge 3.175 --step 0.05 --out pocket.i32
   union3d measure pocket.i32 --edge 3.175
@@ -96,15 +101,18 @@ pub(crate) struct Args {
     /// Longest way between two positions of the cutter, in the scene's unit [default: a twentieth of the edge].
     #[arg(long, value_name = "LENGTH", value_parser = cutter::positive, requires = "edge")]
     step: Option<f64>,
-    /// Send the cubes to this server over HTTP, such as `http://127.0.0.1:7373`, instead of measuring them here.
-    #[arg(long, value_name = "URL", conflicts_with = "grpc", requires = "edge")]
+    /// Send what is swept to this server over HTTP, such as `http://127.0.0.1:7373`, instead of measuring it here.
+    #[arg(long, value_name = "URL", conflicts_with = "grpc")]
     server: Option<String>,
-    /// Stream the cubes to this server over gRPC, such as `grpc://127.0.0.1:7374`.
-    #[arg(long, value_name = "URL", requires = "edge")]
+    /// Stream it to this server over gRPC, such as `grpc://127.0.0.1:7374`.
+    #[arg(long, value_name = "URL")]
     grpc: Option<String>,
     /// Scene on the server [default: the file's name].
-    #[arg(long, value_name = "NAME", requires = "edge")]
+    #[arg(long, value_name = "NAME")]
     scene: Option<String>,
+    /// Change the program that is in the scene to this one: only solids that differ are deleted and inserted.
+    #[arg(long, requires = "grpc", conflicts_with_all = ["edge", "csv", "fail_on_collision"])]
+    replace: bool,
     /// The material, in the scene's unit: a box from its least to its greatest corner, `x,y,z:x,y,z`; for tools with shapes also an upright
     /// cylinder by the middle of its lower end, `cylinder:x,y,z:DIAMETERxHEIGHT`, or a convex hull, `hull:x,y,z:x,y,z:...`.
     #[arg(long, value_name = "STOCK", value_parser = stock::parse, allow_hyphen_values = true)]
@@ -156,7 +164,8 @@ pub(crate) struct Args {
     #[arg(long, value_name = "FILE", requires = "edge")]
     out: Option<PathBuf>,
     /// Print one JSON object: `{"moves","moves_without_time","cubes","seconds","cutting","warnings","mass_properties"}`, of tools with shapes with
-    /// "solids", "rounding" and "remaining".
+    /// "solids", "rounding" and "remaining"; with --replace what is "deleted", "inserted" and
+    /// "kept", and from which line on the history is stale.
     #[arg(long)]
     json: bool,
 }
@@ -171,6 +180,20 @@ fn not_negative(text: &str) -> Result<f64, String> {
 }
 
 impl Args {
+    /// The name of the scene.
+    fn scene_name(&self) -> String {
+        let given = self.scene.clone();
+        given.unwrap_or_else(|| scene_name(&self.file))
+    }
+
+    /// Refuses a scene without a server, where there is none.
+    fn check_scene(&self) -> Result<(), &'static str> {
+        match self.scene {
+            Some(_) => Err("--scene names a scene of a server: give --server or --grpc, too"),
+            None => Ok(()),
+        }
+    }
+
     /// Lattice steps in a unit.
     fn steps_per_unit(&self) -> u32 {
         self.steps_per_unit.unwrap_or(match (self.edge, self.unit) {
@@ -581,7 +604,7 @@ fn scene_name(path: &Path) -> String {
 
 async fn target(args: &Args, settings: &Settings) -> Result<Target, Box<dyn std::error::Error>> {
     let wanted = SceneWanted {
-        name: args.scene.clone().unwrap_or_else(|| scene_name(&args.file)),
+        name: args.scene_name(),
         edge: settings.document().edge,
         steps_per_unit: args.steps_per_unit(),
         unit: args.unit.label().to_owned(),
@@ -593,10 +616,10 @@ async fn target(args: &Args, settings: &Settings) -> Result<Target, Box<dyn std:
             Ok(Target::http(client, largest_id))
         }
         (None, Some(server)) => Target::grpc(server, &wanted).await,
-        (None, None) if args.scene.is_some() => {
-            Err("--scene names a scene of a server: give --server or --grpc, too".into())
+        (None, None) => {
+            args.check_scene()?;
+            Ok(Target::engine(settings))
         }
-        (None, None) => Ok(Target::engine(settings)),
     }
 }
 

@@ -43,8 +43,8 @@ pub(super) struct Cut {
 pub(super) struct ToolCut {
     /// Its number.
     pub(super) number: u32,
-    /// Volume of the material that its shank or its holder went through.
-    pub(super) hit: i128,
+    /// Volume of the material that its shank or its holder went through; none where that is not known.
+    pub(super) hit: Option<i128>,
 }
 
 /// What makes user units of a scene's integers, and what is too little to be said.
@@ -88,6 +88,8 @@ pub(super) struct Tally<'file> {
     cutting: Cutting,
     sums: Sums,
     tools: BTreeMap<u32, ToolSums>,
+    /// Whether all hits of shanks and holders are known.
+    knows_hits: bool,
 }
 
 /// What one tool did.
@@ -125,7 +127,7 @@ pub(super) struct Cutting {
     pub(super) air_cuts: AirCuts,
     /// Rapids that removed something.
     pub(super) rapid_cuts: RapidCuts,
-    /// Lines on which the shank or the holder of a tool goes through material.
+    /// Lines on which the shank or the holder of a tool goes through material; left out where that is not known of all lines.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) shank_or_holder: Option<RapidCuts>,
     /// Totals by tool, where tools have shapes.
@@ -249,6 +251,7 @@ impl<'file> Tally<'file> {
             cutting: Cutting::default(),
             sums: Sums::default(),
             tools: BTreeMap::new(),
+            knows_hits: true,
         })
     }
 
@@ -257,8 +260,14 @@ impl<'file> Tally<'file> {
         self.cutting.shank_or_holder.is_some()
     }
 
+    /// Whether it is known of all lines what shanks and holders have hit.
+    pub(super) fn knows_hits(&self) -> bool {
+        self.knows_hits
+    }
+
     /// Adds the next line, or the next part of the same.
     pub(super) fn add(&mut self, cut: Cut) -> csv::Result<()> {
+        self.knows_hits &= cut.tool.is_none_or(|tool| tool.hit.is_some());
         if let Some(open) = &mut self.open
             && open.line == cut.line
             && (open.kind == cut.kind || [open.kind, cut.kind].contains(&Kind::Dwell))
@@ -270,7 +279,7 @@ impl<'file> Tally<'file> {
             }
             open.bodies += cut.bodies;
             if let (Some(open), Some(tool)) = (&mut open.tool, cut.tool) {
-                open.hit += tool.hit;
+                open.hit = open.hit.zip(tool.hit).map(|(one, other)| one + other);
             }
             open.removed += cut.removed;
             open.duration = match (open.duration, cut.duration) {
@@ -316,6 +325,8 @@ impl<'file> Tally<'file> {
         cutting.volume_removed = removed;
         cutting.rapid_cuts.volume = by_rapids;
         cutting.removal_rate.mean = mean;
+        // Half of them would read as all of them.
+        cutting.shank_or_holder = cutting.shank_or_holder.filter(|_| self.knows_hits);
         if let Some(hits) = &mut cutting.shank_or_holder {
             hits.volume = volume(self.sums.hit);
         }
@@ -369,13 +380,13 @@ impl<'file> Tally<'file> {
             own.removed += cut.removed;
             own.time += duration;
             if let Some(hits) = &mut cutting.shank_or_holder
-                && scale.counts(tool.hit)
+                && let Some(hit) = tool.hit.filter(|hit| scale.counts(*hit))
             {
                 hits.count += 1;
-                sums.hit += tool.hit;
+                sums.hit += hit;
                 hits.lines.push(RapidCut {
                     line: cut.line,
-                    volume: scale.volume(tool.hit),
+                    volume: scale.volume(hit),
                 });
             }
         }
@@ -395,7 +406,7 @@ impl<'file> Tally<'file> {
             warning: None,
             tool: cut
                 .tool
-                .map(|tool| (Some(tool.number), Some(scale.volume(tool.hit)))),
+                .map(|tool| (Some(tool.number), tool.hit.map(|hit| scale.volume(hit)))),
         };
         match &mut self.csv {
             Some(csv) => csv.serialize(row),
@@ -410,4 +421,45 @@ impl<'file> Tally<'file> {
 )]
 fn float(integer: i128) -> f64 {
     integer as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Where it is not known of a line what the shank and the holder hit, its cell is empty, and there is no list of hits that would look whole.
+    #[test]
+    fn hits_that_are_not_known_are_left_out() {
+        for last in [Some(96), None] {
+            let mut rows = Vec::new();
+            let scale = Scale {
+                volume: 96.0,
+                area: 2.0,
+                least_volume: 0.0,
+            };
+            let mut tally = Tally::of_solids(scale, Some(Box::new(&mut rows))).unwrap();
+            for (line, hit) in [(1, Some(192)), (2, last)] {
+                let tool = Some(ToolCut { number: 1, hit });
+                let cut = Cut {
+                    line,
+                    kind: Kind::Feed,
+                    duration: None,
+                    bodies: 1,
+                    removed: 96,
+                    total_removed: 96,
+                    area: 2,
+                    tool,
+                };
+                tally.add(cut).unwrap();
+            }
+            assert_eq!(tally.knows_hits(), last.is_some());
+            let cutting = tally.finish(&[]).unwrap();
+            let volume = cutting.shank_or_holder.map(|hits| hits.volume);
+            assert_eq!(volume, last.map(|_| 3.0));
+            let rows = String::from_utf8(rows).unwrap();
+            let cell = if last.is_some() { "1,1.0" } else { "1," };
+            assert!(rows.lines().nth(1).unwrap().ends_with(",1,2.0"), "{rows}");
+            assert!(rows.lines().nth(2).unwrap().ends_with(cell), "{rows}");
+        }
+    }
 }

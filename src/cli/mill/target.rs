@@ -4,13 +4,14 @@ use serde_json::Value;
 use serde_json::value::{RawValue, to_raw_value};
 use uuid::Uuid;
 
-use super::super::client::{Client, SceneWanted};
-use super::grpc::GrpcStream;
+use super::super::client::{Client, SceneWanted, inserted};
+use super::grpc::{self, Done, GrpcStream};
 use super::line::{LineChange, Material};
 use super::tally::Cut;
 use union3d::engine::Engine;
 use union3d::geometry::{CubeId, Effect};
-use union3d::wire::convert::{self, Settings};
+use union3d::wire::convert::{self, MassProperties, Settings};
+use union3d::wire::proto::Change;
 
 /// Where the cubes go.
 pub(super) enum Target {
@@ -25,7 +26,11 @@ pub(super) enum Target {
         run: Uuid,
         changes: u64,
     },
-    Grpc(Box<GrpcStream>),
+    Grpc {
+        stream: Box<GrpcStream<LineChange>>,
+        server: String,
+        next_id: u64,
+    },
 }
 
 impl Target {
@@ -49,9 +54,13 @@ impl Target {
         server: &str,
         wanted: &SceneWanted,
     ) -> Result<Self, Box<dyn std::error::Error>> {
-        Ok(Self::Grpc(Box::new(
-            GrpcStream::open(server, wanted).await?,
-        )))
+        let mut client = grpc::connect(server).await?;
+        let largest_id = grpc::open_cubes(&mut client, server, wanted).await?;
+        Ok(Self::Grpc {
+            stream: Box::new(GrpcStream::open(server, client, &wanted.name).await?),
+            server: server.to_owned(),
+            next_id: largest_id + 1,
+        })
     }
 
     /// Sends a change on its way; answers what is done by now.
@@ -90,7 +99,18 @@ impl Target {
                 )?;
                 Ok(vec![change.cut(removed, after)])
             }
-            Self::Grpc(stream) => Ok(stream.send(change).await?),
+            Self::Grpc {
+                stream, next_id, ..
+            } => {
+                let message = Change {
+                    r#move: Some(change.line),
+                    duration: change.seconds(),
+                    ..inserted(*next_id, &change.places)
+                };
+                *next_id += change.places.len() as u64;
+                let done = stream.send(change, message).await?;
+                Ok(done.iter().map(cut).collect())
+            }
         }
     }
 
@@ -106,12 +126,17 @@ impl Target {
                 (vec![], to_raw_value(&properties)?)
             }
             Self::Http { client, .. } => (vec![], client.mass_properties().await?),
-            Self::Grpc(stream) => {
-                let (cuts, properties) = stream.finish().await?;
-                (cuts, to_raw_value(&properties)?)
+            Self::Grpc { stream, server, .. } => {
+                let (done, answer) = stream.finish().await?;
+                let properties: MassProperties = grpc::read(&server, answer.mass_properties)?;
+                (done.iter().map(cut).collect(), to_raw_value(&properties)?)
             }
         })
     }
+}
+
+fn cut(done: &Done<LineChange>) -> Cut {
+    done.what.cut(done.removed, done.after)
 }
 
 /// What a change removed and the state after it, from the API's answer to it; none when it is not that.

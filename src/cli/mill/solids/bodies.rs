@@ -4,8 +4,9 @@ use std::sync::Arc;
 
 use union3d::engine::solids::Shape;
 use union3d::geometry::Bounds;
-use union3d::geometry::convex::{Cutter, Deviation, End, Fit, Solid, cone};
+use union3d::geometry::convex::{Deviation, Fit, Solid, cone};
 use union3d::toolpath::{Cone, ToolEnd, ToolShape};
+use union3d::wire::solids::{self, CutterDocument, FitName, FormDocument, Scale, ShapeDocument};
 
 /// Rings of a round end.
 const RINGS: u16 = 8;
@@ -17,6 +18,7 @@ const STUB: i64 = 2;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Fineness {
     pub(super) steps_per_mm: f64,
+    pub(super) scale: Scale,
     pub(super) sides: u16,
 }
 
@@ -33,6 +35,11 @@ impl Fineness {
     fn size(self, length: f64) -> Result<u32, String> {
         u32::try_from(self.steps(length)).map_err(|_| format!("{length} mm is too large"))
     }
+
+    /// The length of so many steps in user units.
+    fn user(self, steps: u32) -> f64 {
+        f64::from(steps) / f64::from(self.scale.steps_per_unit())
+    }
 }
 
 /// A shape to be swept, and the box around it at its anchor.
@@ -40,27 +47,42 @@ impl Fineness {
 pub(super) struct Swept {
     pub(super) shape: Arc<Shape>,
     pub(super) bounds: Bounds,
+    /// What it is made from, as a server is told of it.
+    pub(super) document: ShapeDocument,
+    /// Its name in a scene, where a shape never changes: the tool's number, and what it is.
+    pub(super) name: String,
 }
 
 impl Swept {
-    fn new(parts: Vec<Solid>, top: Option<i32>) -> Result<Self, String> {
-        let mut bounds = parts[0].bounds();
-        for part in &parts[1..] {
-            let other = part.bounds();
-            for axis in 0..3 {
-                bounds.min[axis] = bounds.min[axis].min(other.min[axis]);
-                bounds.max[axis] = bounds.max[axis].max(other.max[axis]);
-            }
-        }
-        let shape = Shape::new(parts).map_err(|invalid| invalid.to_string())?;
-        let shape = match top {
-            Some(top) => shape.with_top(top),
-            None => shape,
+    /// The shape of a document, and how far its polygons are from circles.
+    fn new(tool: u32, document: ShapeDocument, scale: Scale) -> Result<(Self, Deviation), String> {
+        let text = serde_json::to_vec(&document).map_err(|error| error.to_string())?;
+        let read = solids::shape(&document, scale).map_err(|fault| fault.to_string())?;
+        let boxes = read.shape.parts().iter().map(Solid::bounds);
+        let around = boxes.reduce(|a, b| Bounds {
+            min: [0, 1, 2].map(|axis: usize| a.min[axis].min(b.min[axis])),
+            max: [0, 1, 2].map(|axis: usize| a.max[axis].max(b.max[axis])),
+        });
+        let swept = Self {
+            shape: Arc::new(read.shape),
+            bounds: around.expect("a shape has a part"),
+            document,
+            name: format!("t{tool}-{:08x}", crc32fast::hash(&text)),
         };
-        Ok(Self {
-            shape: Arc::new(shape),
-            bounds,
-        })
+        Ok((swept, read.deviation))
+    }
+
+    /// Convex solids that move together, by their vertices.
+    fn of_parts(tool: u32, parts: &[Solid], scale: Scale) -> Result<Self, String> {
+        let hull = |part: &Solid| {
+            let vertices = part.vertices().iter();
+            FormDocument::Hull(vertices.map(|vertex| scale.position(*vertex)).collect())
+        };
+        let form = match parts {
+            [part] => hull(part),
+            _ => FormDocument::Parts(parts.iter().map(hull).collect()),
+        };
+        Ok(Self::new(tool, form.into(), scale)?.0)
     }
 }
 
@@ -69,9 +91,9 @@ impl Swept {
 pub(super) struct Body {
     /// Its flutes, reaching up to the common top: where they stick out of the stock, how far does not matter, and with all of them in one
     /// plane there are fewer edges.
-    pub(super) raised: Option<Swept>,
+    pub(super) raised: Option<Arc<Swept>>,
     /// Its flutes as they are; none where their length is not known.
-    pub(super) flutes: Option<Swept>,
+    pub(super) flutes: Option<Arc<Swept>>,
     /// The height of the flutes above the tip; none where they are as long as need be. Units: steps.
     pub(super) height: Option<i64>,
     /// Its shank above the flutes, and its holder.
@@ -99,11 +121,12 @@ fn cone_height(widening: f64, degrees: f64) -> f64 {
 }
 
 impl Body {
-    /// The tool of a shape; `top` is the common top, where there is one. Units: steps.
+    /// The tool of a number and a shape; `top` is the common top, where there is one. Units: steps.
     ///
     /// # Errors
     /// A sentence says what is wrong with it.
     pub(super) fn new(
+        tool: u32,
         shape: &ToolShape,
         fineness: Fineness,
         top: Option<i32>,
@@ -114,13 +137,15 @@ impl Body {
         let mut raised = None;
         let flutes = if let ToolEnd::Form(cones) = &shape.end {
             let parts = stacked(cones, 0, fineness, &mut deviation)?;
-            Some(Swept::new(parts, None)?)
+            Some(Swept::of_parts(tool, &parts, fineness.scale)?)
         } else {
             let mut of_length = |length: i64, top: Option<i32>| {
-                let cutter = cutter(shape, fineness, length)?;
-                let (solid, own) = cutter.solid().map_err(|invalid| invalid.to_string())?;
+                let form = cutter(shape, fineness, length)?;
+                let top =
+                    top.map(|top| f64::from(top) / f64::from(fineness.scale.steps_per_unit()));
+                let (swept, own) = Swept::new(tool, ShapeDocument { form, top }, fineness.scale)?;
                 deviation = deviation.max(own);
-                Swept::new(vec![solid], top)
+                Ok::<_, String>(swept)
             };
             if top.is_some() {
                 raised = Some(of_length(end_height(shape, fineness), top)?);
@@ -131,57 +156,53 @@ impl Body {
             }
         };
         Ok(Self {
-            raised,
-            flutes,
+            raised: raised.map(Arc::new),
+            flutes: flutes.map(Arc::new),
             height,
-            blunt: blunt(shape, fineness, &mut deviation)?,
+            blunt: blunt(tool, shape, fineness, &mut deviation)?,
             deviation,
         })
     }
 }
 
-fn cutter(shape: &ToolShape, fineness: Fineness, length: i64) -> Result<Cutter, String> {
-    let diameter = fineness.size(shape.diameter)?;
-    let end = match shape.end {
-        ToolEnd::Flat => End::Flat,
-        ToolEnd::Ball => End::Round {
-            corner_diameter: diameter,
-            rings: RINGS,
-        },
-        ToolEnd::Bull { corner } => End::Round {
-            corner_diameter: fineness.size(2.0 * corner)?,
-            rings: RINGS,
-        },
-        ToolEnd::Vee { angle, tip } => End::Cone {
-            tip_diameter: fineness.size(tip)?,
-            angle: millionths(angle),
-        },
-        ToolEnd::Drill { angle } => End::Cone {
-            tip_diameter: 0,
-            angle: millionths(angle),
-        },
-        ToolEnd::Tapered { angle, tip } => End::Cone {
-            tip_diameter: fineness.size(tip)?,
-            angle: millionths(2.0 * angle),
-        },
-        ToolEnd::Form(_) => unreachable!("a form is made of cones"),
-    };
-    Ok(Cutter {
-        end,
-        diameter,
-        length: u32::try_from(length).map_err(|_| "it is too long".to_owned())?,
+/// The cutter of a tool that is no form.
+fn cutter(shape: &ToolShape, fineness: Fineness, length: i64) -> Result<FormDocument, String> {
+    let length = u32::try_from(length).map_err(|_| "it is too long".to_owned())?;
+    let round = CutterDocument {
+        diameter: fineness.user(fineness.size(shape.diameter)?),
+        length: fineness.user(length),
+        corner_radius: None,
+        tip: None,
+        angle: None,
+        rings: None,
         sides: fineness.sides,
-        fit: Fit::EqualArea,
+        polygon: FitName::EqualArea,
+        at: [0.0; 3],
+    };
+    let pointed = |tip: f64, angle: f64| -> Result<CutterDocument, String> {
+        Ok(CutterDocument {
+            tip: Some(fineness.user(fineness.size(tip)?)),
+            angle: Some(angle),
+            ..round.clone()
+        })
+    };
+    Ok(match shape.end {
+        ToolEnd::Flat => FormDocument::Flat(round),
+        ToolEnd::Ball => FormDocument::Ball(CutterDocument {
+            rings: Some(RINGS),
+            ..round
+        }),
+        ToolEnd::Bull { corner } => FormDocument::Bull(CutterDocument {
+            corner_radius: Some(fineness.user(fineness.size(2.0 * corner)?) / 2.0),
+            rings: Some(RINGS),
+            ..round
+        }),
+        ToolEnd::Vee { angle, tip } => FormDocument::Vee(pointed(tip, angle)?),
+        ToolEnd::Drill { angle } => FormDocument::Vee(pointed(0.0, angle)?),
+        // By its whole angle: a half may lie between two millionths of a degree.
+        ToolEnd::Tapered { angle, tip } => FormDocument::Vee(pointed(tip, 2.0 * angle)?),
+        ToolEnd::Form(_) => unreachable!("a form is made of cones"),
     })
-}
-
-#[expect(
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    reason = "an angle between 0 and 180 degrees"
-)]
-fn millionths(degrees: f64) -> u32 {
-    (degrees * 1e6).round() as u32
 }
 
 /// Cones on each other from a height on. Units of `from`: steps.
@@ -211,6 +232,7 @@ fn stacked(
 
 /// What of a tool does not cut.
 fn blunt(
+    tool: u32,
     shape: &ToolShape,
     fineness: Fineness,
     deviation: &mut Deviation,
@@ -238,5 +260,5 @@ fn blunt(
     if parts.is_empty() {
         return Ok(None);
     }
-    Swept::new(parts, None).map(Some)
+    Swept::of_parts(tool, &parts, fineness.scale).map(Some)
 }

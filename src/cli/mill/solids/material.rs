@@ -1,12 +1,13 @@
-//! The material in an engine of solids: what is removed, and what would be.
+//! The material: the stock as it is written, and an engine in this process in which tools remove what they sweep.
 
 use union3d::engine::solids::{
-    AREA_UNIT, Body, Effect, Engine, SolidId, Stock, Totals, VOLUME_UNIT,
+    AREA_UNIT, Body, Effect, Engine, ErrorMax, SolidId, Stock, Totals, VOLUME_UNIT,
 };
 use union3d::geometry::Bounds;
-use union3d::geometry::convex::{Deviation, Fit, Point, Solid, cone};
-use union3d::wire::solids::Scale;
+use union3d::geometry::convex::{Deviation, Point};
+use union3d::wire::solids::{CutterDocument, FitName, ReadStock, Scale, SolidStockDocument};
 
+use super::super::line::Material as State;
 use super::super::stock::StockForm;
 use super::bodies::Swept;
 
@@ -19,33 +20,46 @@ pub(super) const AREA_UNITS: f64 = (2_u32 << -AREA_UNIT) as f64;
 /// Sides of the polygon that stands for a round stock.
 const STOCK_SIDES: u16 = 128;
 
-/// The material: a stock from which tools remove what they sweep, or without one just what they sweep.
-pub(super) struct Material {
-    engine: Engine,
-    next_id: u64,
+/// An id that no solid of a program has.
+const NO_SOLID: SolidId = SolidId(u64::MAX);
+
+/// The stock before anything is cut, if there is one: without, what tools sweep is measured. Cheap to clone.
+#[derive(Clone)]
+pub(super) struct Blank {
+    stock: Option<Stock>,
+    /// As a server is told of it.
+    pub(super) document: Option<SolidStockDocument>,
     /// Box around the stock.
     bounds: Option<Bounds>,
     /// How far the polygon of a round stock is from the circle.
     pub(super) deviation: Deviation,
 }
 
-impl Material {
+impl Blank {
     /// # Errors
     /// A sentence says what is wrong with the stock.
-    pub(super) fn new(stock: Option<&StockForm>, scale: Scale) -> Result<Self, String> {
-        let mut deviation = Deviation::default();
-        let stock = match stock {
-            Some(form) => {
-                let solid = solid(form, scale, &mut deviation)
-                    .map_err(|wrong| format!("--stock {wrong}"))?;
-                Some(Stock::new(solid).map_err(|invalid| format!("--stock: {invalid}"))?)
-            }
-            None => None,
+    pub(super) fn new(form: Option<&StockForm>, scale: Scale) -> Result<Self, String> {
+        let read = form.map(|form| document(form, scale).read(scale));
+        let read = read
+            .transpose()
+            .map_err(|fault| format!("--stock: {fault}"))?;
+        let Some(ReadStock {
+            stock,
+            document,
+            deviation,
+        }) = read
+        else {
+            return Ok(Self {
+                stock: None,
+                document: None,
+                bounds: None,
+                deviation: Deviation::default(),
+            });
         };
         Ok(Self {
-            bounds: stock.as_ref().map(|stock| stock.solid().bounds()),
-            engine: Engine::new().with_stock(stock),
-            next_id: 1,
+            bounds: Some(stock.solid().bounds()),
+            stock: Some(stock),
+            document: Some(document),
             deviation,
         })
     }
@@ -68,79 +82,79 @@ impl Material {
             least < i64::from(stock.max[axis]) && most > i64::from(stock.min[axis])
         })
     }
-
-    /// Removes what is swept, and answers how much that is. Units: [`VOLUME_UNITS`].
-    pub(super) fn remove(&mut self, body: Body) -> i128 {
-        let before = self.removed();
-        let effect = self.effect(body);
-        self.next_id += 1;
-        self.engine.apply(&effect).expect("the id is new");
-        self.removed() - before
-    }
-
-    /// How much of the material is in a body. Units: [`VOLUME_UNITS`].
-    pub(super) fn inside(&mut self, body: Body) -> i128 {
-        let effect = self.effect(body);
-        let (totals, _) = self.engine.dry_run(&effect).expect("the id is new");
-        totals.measures.volume6 - self.removed()
-    }
-
-    fn effect(&self, body: Body) -> Effect {
-        Effect {
-            deleted: vec![],
-            inserted: vec![(SolidId(self.next_id), body)],
-        }
-    }
-
-    /// All that is removed. Units: [`VOLUME_UNITS`].
-    pub(super) fn removed(&self) -> i128 {
-        self.engine.totals().measures.volume6
-    }
-
-    /// The area around what is removed. Units: [`AREA_UNITS`].
-    pub(super) fn area(&self) -> i128 {
-        self.engine.totals().measures.area2
-    }
-
-    pub(super) fn totals(&self) -> Totals {
-        self.engine.totals()
-    }
-
-    pub(super) fn error_max(&self) -> union3d::engine::solids::ErrorMax {
-        self.engine.error_max()
-    }
 }
 
-fn solid(form: &StockForm, scale: Scale, deviation: &mut Deviation) -> Result<Solid, String> {
-    let at = |at: [f64; 3]| scale.point(at, "").map_err(|fault| fault.to_string());
+/// The stock as scenes know it.
+fn document(form: &StockForm, scale: Scale) -> SolidStockDocument {
+    let per_unit = f64::from(scale.steps_per_unit());
+    let steps = |length: f64| (length * per_unit).round() / per_unit;
     match form {
-        StockForm::Box([min, max]) => {
-            let corners = [at(*min)?, at(*max)?];
-            let [min, max] = corners.map(Point::coordinates);
-            if (0..3).any(|axis| min[axis] >= max[axis]) {
-                return Err("leaves no volume: its greatest corner is not above its least".into());
-            }
-            Solid::cuboid(corners[0], corners[1]).map_err(|invalid| invalid.to_string())
-        }
+        StockForm::Box([min, max]) => SolidStockDocument::cuboid(*min, *max),
         StockForm::Cylinder {
             base,
             diameter,
             height,
-        } => {
-            let size = at([*diameter, 0.0, *height])?.coordinates();
-            let diameter = u32::try_from(size[0]).map_err(|_| "is too wide".to_owned())?;
-            let ends = [(diameter, 0), (diameter, i64::from(size[2]))];
-            let (solid, own) =
-                cone(ends, STOCK_SIDES, Fit::EqualArea).map_err(|invalid| invalid.to_string())?;
-            *deviation = own;
-            solid
-                .displaced(at(*base)?.wide())
-                .map_err(|invalid| invalid.to_string())
+        } => SolidStockDocument {
+            cylinder: Some(CutterDocument {
+                diameter: steps(*diameter),
+                length: steps(*height),
+                corner_radius: None,
+                tip: None,
+                angle: None,
+                rings: None,
+                sides: STOCK_SIDES,
+                polygon: FitName::EqualArea,
+                at: *base,
+            }),
+            ..SolidStockDocument::default()
+        },
+        StockForm::Hull(points) => SolidStockDocument {
+            hull: Some(points.clone()),
+            ..SolidStockDocument::default()
+        },
+    }
+}
+
+/// What is removed from a stock, in this process.
+pub(super) struct Material(Engine);
+
+impl Material {
+    /// The whole stock.
+    pub(super) fn new(blank: &Blank) -> Self {
+        Self(Engine::new().with_stock(blank.stock.clone()))
+    }
+
+    /// Removes what is swept, and answers how much that is. Units: [`VOLUME_UNITS`].
+    pub(super) fn remove(&mut self, id: SolidId, body: Body) -> i128 {
+        let before = self.state().removed;
+        let effect = Effect {
+            deleted: vec![],
+            inserted: vec![(id, body)],
+        };
+        self.0.apply(&effect).expect("the id is new");
+        self.state().removed - before
+    }
+
+    /// How much of the material is in a body. Units: [`VOLUME_UNITS`].
+    pub(super) fn inside(&self, body: &Body) -> i128 {
+        let effect = Effect {
+            deleted: vec![],
+            inserted: vec![(NO_SOLID, body.clone())],
+        };
+        let (totals, _) = self.0.dry_run(&effect).expect("the id is new");
+        totals.measures.volume6 - self.state().removed
+    }
+
+    /// What is removed by now. Units: [`VOLUME_UNITS`], [`AREA_UNITS`].
+    pub(super) fn state(&self) -> State {
+        let measures = self.0.totals().measures;
+        State {
+            removed: measures.volume6,
+            area: measures.area2,
         }
-        StockForm::Hull(points) => {
-            let points: Result<Vec<Point>, String> =
-                points.iter().map(|point| at(*point)).collect();
-            Solid::hull(&points?).map_err(|invalid| invalid.to_string())
-        }
+    }
+
+    pub(super) fn totals(&self) -> (Totals, ErrorMax) {
+        (self.0.totals(), self.0.error_max())
     }
 }

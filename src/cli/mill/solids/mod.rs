@@ -1,16 +1,20 @@
-//! `union3d mill` with tools of their own shapes: one solid for each straight feed, in an engine in this process.
+//! `union3d mill` with tools of their own shapes: one solid for each straight feed, in an engine in this process or in a scene of a server.
 //!
 //! ```text
 //!   program ── read whole ──> steps ── schedule ──> times
-//!                               └── chords ── bodies ──> material ──> tally ──> report
+//!                               └── shop: chords, bodies ──> strokes ─┬─> target: here, HTTP, gRPC ──> tally ──> report
+//!                                                                     └─> replace: what differs from a scene
 //! ```
 //! The program is read whole before anything is cut, so that a refused one is refused at once, and how much there is to do is known.
 
 mod bodies;
 mod material;
+mod replace;
+mod scene;
 mod schedule;
+mod shop;
+mod target;
 
-use std::collections::BTreeMap;
 use std::io::Write;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -19,19 +23,19 @@ use std::time::Instant;
 
 use indicatif::ProgressBar;
 
-use self::bodies::{Body, Fineness, Swept, end_height};
-use self::material::{AREA_UNITS, Material, VOLUME_UNITS};
+use self::material::{AREA_UNITS, Blank, VOLUME_UNITS};
+use self::scene::Wanted;
 use self::schedule::Machine;
+use self::shop::Shop;
+use self::target::{Measured, Target};
 use super::super::{Outcome, progress, report};
-use super::tally::{self, Cut, Cutting, Kind, Tally, ToolCut};
+use super::tally::{self, Cutting, Tally};
 use super::{
-    Args, COLLISION, Count, Warnings, about_csv, created, duration, kind, nothing_cut, path,
-    rapid_rate, report_cutting, swept,
+    Args, COLLISION, Count, Warnings, about_csv, book, created, nothing_cut, path, rapid_rate,
+    report_cutting,
 };
-use union3d::engine::solids::{self, Totals};
-use union3d::geometry::convex::{Deviation, Point};
-use union3d::toolpath::{Event, Interpreter, Move, Shaped, ToolTable, Warning};
-use union3d::wire::solids::{Scale, SolidProperties, solid_properties};
+use union3d::toolpath::{Event, Interpreter, Move, ToolTable, Warning};
+use union3d::wire::solids::{Scale, SolidProperties};
 
 /// The exit status after Ctrl-C, as of a program that the signal ends.
 const INTERRUPTED: u8 = 130;
@@ -65,6 +69,26 @@ struct Milled<'answer> {
     remaining: Option<SolidProperties>,
 }
 
+/// What `mill --replace --json` prints.
+#[derive(serde::Serialize)]
+struct Replaced<'answer> {
+    moves: u64,
+    /// Solids taken out of the scene, put into it, and left in it.
+    deleted: u64,
+    inserted: u64,
+    kept: u64,
+    seconds: f64,
+    /// From this line on the scene's history is of another program; null when nothing differs.
+    stale_from_line: Option<u64>,
+    rounding: Rounding,
+    warnings: &'answer [Warning],
+    /// Of what is removed.
+    mass_properties: SolidProperties,
+    /// Of what is left of the stock.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    remaining: Option<SolidProperties>,
+}
+
 /// How far what is milled is from what the program says. Units: user units.
 #[derive(Clone, Copy, Debug, serde::Serialize)]
 struct Rounding {
@@ -80,8 +104,13 @@ struct Rounding {
 
 /// Runs `mill` with tools that have shapes.
 pub(super) fn run(args: &Args) -> Outcome {
-    let started = Instant::now();
     let interrupted = stop_on_interrupt()?;
+    let runtime = tokio::runtime::Runtime::new()?;
+    runtime.block_on(mill(args, &interrupted))
+}
+
+async fn mill(args: &Args, interrupted: &AtomicBool) -> Outcome {
+    let started = Instant::now();
     let (program, size) = args.program.open(&args.file, args.unit)?;
     let mut warnings = Warnings::default();
     let mut count = Count::default();
@@ -96,71 +125,151 @@ pub(super) fn run(args: &Args) -> Outcome {
     let steps_per_unit = args.steps_per_unit();
     let scale =
         Scale::new(steps_per_unit).map_err(|invalid| format!("--steps-per-unit: {invalid}"))?;
-    let fineness = Fineness {
-        steps_per_mm: f64::from(steps_per_unit) / args.unit.mm(),
-        sides: args.sides,
-    };
-    let material = Material::new(args.stock.as_ref(), scale)?;
-    let top = common_top(&material, &tools, fineness)?;
-    let mut shop = Shop {
+    let blank = Blank::new(args.stock.as_ref(), scale)?;
+    let run = Run {
         args,
-        fineness,
-        scale,
-        material,
-        top,
-        tools,
-        bodies: BTreeMap::new(),
-        deviation: Deviation::default(),
-        solids: 0,
+        started,
+        count,
+        steps: steps.iter().zip(seconds).collect(),
+        wanted: Wanted {
+            name: args.scene_name(),
+            steps_per_unit,
+            unit: args.unit.label(),
+            stock: blank.document.clone(),
+        },
     };
-    let csv = created(args.csv.as_deref())?.map(|file| Box::new(file) as Box<dyn Write>);
-    let per_unit = f64::from(steps_per_unit);
-    let units = tally::Scale {
-        volume: per_unit.powi(3) * VOLUME_UNITS,
-        area: per_unit.powi(2) * AREA_UNITS,
-        least_volume: args.least_volume,
-    };
-    let mut tally = Tally::of_solids(units, csv).map_err(about_csv(args))?;
-    let bar = progress::moves(steps.len() as u64);
-    let mut stopped_after_line = None;
-    for (step, seconds) in steps.iter().zip(seconds) {
-        if interrupted.load(Ordering::Relaxed) {
-            stopped_after_line = Some(step.line().saturating_sub(1));
-            break;
-        }
-        tally
-            .add(shop.step(step, seconds, &mut warnings, &bar)?)
-            .map_err(about_csv(args))?;
-        bar.inc(1);
+    let shop = Shop::new(args, scale, blank, tools)?;
+    match &args.grpc {
+        Some(server) if args.replace => run.replace(server, shop, warnings).await,
+        _ => run.mill(shop, warnings, interrupted).await,
     }
-    bar.finish_and_clear();
-    let cutting = tally.finish(&warnings.all).map_err(about_csv(args))?;
-    warnings.close(&bar);
-    let is_hit = [Some(&cutting.rapid_cuts), cutting.shank_or_holder.as_ref()]
-        .into_iter()
-        .flatten()
-        .any(|hits| hits.count > 0);
-    let (mass_properties, remaining) = shop.properties();
-    let milled = Milled {
-        moves: count.moves,
-        moves_without_time: count.moves_without_time,
-        solids: shop.solids,
-        seconds: started.elapsed().as_secs_f64(),
-        stopped_after_line,
-        cutting,
-        rounding: shop.rounding(),
-        warnings: &warnings.all,
-        mass_properties,
-        remaining,
-    };
-    print(args, &milled)?;
-    Ok(if stopped_after_line.is_some() {
-        ExitCode::from(INTERRUPTED)
-    } else if is_hit && args.fail_on_collision {
-        ExitCode::from(COLLISION)
-    } else {
-        ExitCode::SUCCESS
-    })
+}
+
+/// A program that has been read.
+struct Run<'run> {
+    args: &'run Args,
+    started: Instant,
+    count: Count,
+    /// What it does, and how long that takes.
+    steps: Vec<(&'run Step, Option<f64>)>,
+    /// The scene on a server, where one is asked.
+    wanted: Wanted,
+}
+
+impl Run<'_> {
+    /// Cuts all of it, and reports what each line has removed.
+    async fn mill(
+        self,
+        mut shop: Shop<'_>,
+        mut warnings: Warnings,
+        interrupted: &AtomicBool,
+    ) -> Outcome {
+        let args = self.args;
+        let mut target = self.target(&shop.blank).await?;
+        let csv = created(args.csv.as_deref())?.map(|file| Box::new(file) as Box<dyn Write>);
+        let per_unit = f64::from(self.wanted.steps_per_unit);
+        let units = tally::Scale {
+            volume: per_unit.powi(3) * VOLUME_UNITS,
+            area: per_unit.powi(2) * AREA_UNITS,
+            least_volume: args.least_volume,
+        };
+        let mut tally = Tally::of_solids(units, csv).map_err(about_csv(args))?;
+        let bar = progress::moves(self.steps.len() as u64);
+        let mut stopped_after_line = None;
+        for (step, seconds) in &self.steps {
+            if interrupted.load(Ordering::Relaxed) {
+                stopped_after_line = Some(step.line().saturating_sub(1));
+                break;
+            }
+            let stroke = shop.stroke(step, *seconds, &mut warnings, &bar)?;
+            book(&mut tally, args, target.send(stroke).await?)?;
+            bar.inc(1);
+        }
+        let (cuts, Measured { removed, remaining }) = target.finish(shop.scale()).await?;
+        book(&mut tally, args, cuts)?;
+        bar.finish_and_clear();
+        let knows_hits = tally.knows_hits();
+        if !knows_hits {
+            warnings.add(hits_unknown(), &bar);
+        }
+        let cutting = tally.finish(&warnings.all).map_err(about_csv(args))?;
+        warnings.close(&bar);
+        let is_hit = [Some(&cutting.rapid_cuts), cutting.shank_or_holder.as_ref()]
+            .into_iter()
+            .flatten()
+            .any(|hits| hits.count > 0);
+        let milled = Milled {
+            moves: self.count.moves,
+            moves_without_time: self.count.moves_without_time,
+            solids: shop.solids(),
+            seconds: self.started.elapsed().as_secs_f64(),
+            stopped_after_line,
+            cutting,
+            rounding: shop.rounding(),
+            warnings: &warnings.all,
+            mass_properties: removed,
+            remaining,
+        };
+        print(args, &milled)?;
+        if stopped_after_line.is_some() {
+            Ok(ExitCode::from(INTERRUPTED))
+        } else if is_hit && args.fail_on_collision {
+            Ok(ExitCode::from(COLLISION))
+        } else if !knows_hits && args.fail_on_collision {
+            Err(format!("--fail-on-collision: {}", hits_unknown().text).into())
+        } else {
+            Ok(ExitCode::SUCCESS)
+        }
+    }
+
+    async fn target(&self, blank: &Blank) -> Result<Target, Failure> {
+        match (&self.args.server, &self.args.grpc) {
+            (Some(server), _) => Target::http(server, &self.wanted, blank).await,
+            (None, Some(server)) => Target::grpc(server, &self.wanted, blank).await,
+            (None, None) => {
+                self.args.check_scene()?;
+                Ok(Target::here(blank))
+            }
+        }
+    }
+
+    /// Changes the program in a scene to this one.
+    async fn replace(self, server: &str, mut shop: Shop<'_>, mut warnings: Warnings) -> Outcome {
+        let bar = progress::moves(self.steps.len() as u64);
+        let mut strokes = Vec::new();
+        for (step, seconds) in &self.steps {
+            strokes.push(shop.stroke(step, *seconds, &mut warnings, &bar)?);
+            bar.inc(1);
+        }
+        bar.finish_and_clear();
+        let replaced = replace::replace(server, &self.wanted, &strokes).await?;
+        warnings.close(&bar);
+        let Measured { removed, remaining } = replaced.measured;
+        let replaced = Replaced {
+            moves: self.count.moves,
+            deleted: replaced.deleted,
+            inserted: replaced.inserted,
+            kept: replaced.kept,
+            seconds: self.started.elapsed().as_secs_f64(),
+            stale_from_line: replaced.stale_from_line,
+            rounding: shop.rounding(),
+            warnings: &warnings.all,
+            mass_properties: removed,
+            remaining,
+        };
+        print_replaced(self.args, &replaced)?;
+        Ok(ExitCode::SUCCESS)
+    }
+}
+
+/// What is said when hits of shanks and holders are not known.
+fn hits_unknown() -> Warning {
+    Warning {
+        line: 0,
+        code: "hits-unknown".into(),
+        text: "somebody else changed the scene meanwhile: what shanks and holders hit is left out"
+            .into(),
+    }
 }
 
 /// Set by Ctrl-C; by the second the process ends at once.
@@ -251,267 +360,6 @@ fn times(steps: &[Step], args: &Args) -> Vec<Option<f64>> {
     seconds
 }
 
-/// Up to where tools are raised: above the stock by the highest of their ends. Units: steps.
-fn common_top(
-    material: &Material,
-    tools: &ToolTable,
-    fineness: Fineness,
-) -> Result<Option<i32>, String> {
-    let Some(top) = material.top() else {
-        return Ok(None);
-    };
-    let shapes = tools.tools().filter_map(|(_, tool)| match &tool.shape {
-        Shaped::Given(shape) | Shaped::Comment(shape, _) => Some(shape),
-        Shaped::Unknown | Shaped::Unsupported(_) => None,
-    });
-    let heights = shapes.map(|shape| end_height(shape, fineness));
-    let highest = i64::from(top).saturating_add(heights.max().unwrap_or(0));
-    i32::try_from(highest)
-        .map(Some)
-        .map_err(|_| "a tool is too high for the lattice: take fewer --steps-per-unit".into())
-}
-
-/// Everything that cuts, and what is cut.
-struct Shop<'run> {
-    args: &'run Args,
-    fineness: Fineness,
-    scale: Scale,
-    material: Material,
-    top: Option<i32>,
-    tools: ToolTable,
-    /// Those that have cut.
-    bodies: BTreeMap<u32, Arc<Body>>,
-    deviation: Deviation,
-    solids: u64,
-}
-
-impl Shop<'_> {
-    /// Does a step, and answers what it did.
-    fn step(
-        &mut self,
-        step: &Step,
-        seconds: Option<f64>,
-        warnings: &mut Warnings,
-        bar: &ProgressBar,
-    ) -> Result<Cut, Failure> {
-        let line = step.line();
-        let time = seconds.map(|seconds| duration(line, seconds)).transpose()?;
-        let (kind, tool, swept) = match step {
-            Step::Move(next) => (kind(next), next.tool, swept(next)),
-            Step::Dwell { tool, .. } => (Kind::Dwell, *tool, None),
-        };
-        let cuts = match kind {
-            Kind::Feed => true,
-            Kind::Rapid => self.args.rapid || self.args.stock.is_some(),
-            Kind::Dwell => false,
-        };
-        let before = self.solids;
-        let (mut removed, mut hit) = (0, 0);
-        if let Some(swept) = swept.filter(|_| cuts)
-            && let Some(body) = self.body(tool, line, kind, warnings, bar)?
-        {
-            (removed, hit) = self.cut(&body, &swept)?;
-        }
-        Ok(Cut {
-            line,
-            kind,
-            duration: time,
-            bodies: self.solids - before,
-            removed,
-            total_removed: self.material.removed(),
-            area: self.material.area(),
-            tool: Some(ToolCut { number: tool, hit }),
-        })
-    }
-
-    /// A tool on the lattice. A rapid of one that is not defined hits nothing.
-    fn body(
-        &mut self,
-        number: u32,
-        line: u64,
-        kind: Kind,
-        warnings: &mut Warnings,
-        bar: &ProgressBar,
-    ) -> Result<Option<Arc<Body>>, String> {
-        if let Some(body) = self.bodies.get(&number) {
-            return Ok(Some(Arc::clone(body)));
-        }
-        let known = self.tools.get(number).map(|tool| tool.shape.clone());
-        let shape = match known.unwrap_or_default() {
-            Shaped::Given(shape) => shape,
-            Shaped::Comment(shape, at) => {
-                let warning = Warning {
-                    line: at,
-                    code: "tool-comment".into(),
-                    text: format!("the shape of tool {number} is taken from this comment"),
-                };
-                if self.args.program.is_strict() {
-                    return Err(warning.to_string());
-                }
-                warnings.add(warning, bar);
-                shape
-            }
-            Shaped::Unknown | Shaped::Unsupported(_) if kind == Kind::Rapid => return Ok(None),
-            Shaped::Unsupported(why) => {
-                return Err(format!(
-                    "line {line}: tool {number} cuts here without a shape: {why}; give it by --tool {}flat:6 or the like",
-                    numbered(number)
-                ));
-            }
-            Shaped::Unknown => {
-                return Err(format!(
-                    "line {line}: tool {number} cuts here and is not defined: give it by --tool {}flat:6 or the like, or by --tools; --edge is a square cutter",
-                    numbered(number)
-                ));
-            }
-        };
-        if self.top.is_none() && shape.flutes.or(shape.length).is_none() {
-            return Err(format!(
-                "line {line}: how far up tool {number} cuts is not known, and there is no --stock: give it a length, such as --tool {}flat:6,length=22",
-                numbered(number)
-            ));
-        }
-        let body = Body::new(&shape, self.fineness, self.top)
-            .map_err(|wrong| format!("tool {number}: {wrong}"))?;
-        self.deviation = self.deviation.max(body.deviation);
-        let body = Arc::new(body);
-        self.bodies.insert(number, Arc::clone(&body));
-        Ok(Some(body))
-    }
-
-    /// Carries a tool along a move: the volume it removes, and that its shank and holder go through.
-    fn cut(&mut self, body: &Body, next: &Move) -> Result<(i128, i128), String> {
-        let about = |wrong: String| format!("line {}: {wrong}", next.line);
-        let mut from = self.point(next.start).map_err(about)?;
-        let (mut removed, mut hit) = (0, 0);
-        let mut has_moved = false;
-        let mut ends = next.chord_ends(self.args.program.tolerance).peekable();
-        while let Some(to) = ends.next() {
-            let to = self.point(to).map_err(about)?;
-            // Several chords may be shorter than a step of the lattice; a tool that stands still has cut where it stands.
-            let stands = ends.peek().is_none() && !has_moved;
-            if from != to || stands {
-                removed += self.remove(body, [from, to]).map_err(about)?;
-                hit += self.hit(body, [from, to]).map_err(about)?;
-                has_moved = true;
-            }
-            from = to;
-        }
-        Ok((removed, hit))
-    }
-
-    /// The lattice point nearest to a place in mm.
-    fn point(&self, place: [f64; 3]) -> Result<Point, String> {
-        let user = place.map(|mm| mm / self.args.unit.mm());
-        self.scale
-            .point(user, "")
-            .map_err(|fault| format!("the tool cannot be there: {fault}"))
-    }
-
-    /// Removes what the flutes sweep.
-    fn remove(&mut self, body: &Body, ends: [Point; 2]) -> Result<i128, String> {
-        let Some((swept, ends)) = self.flutes(body, ends)? else {
-            return Ok(0);
-        };
-        if !self.material.is_near(swept, ends) {
-            return Ok(0);
-        }
-        let swept = sweep(swept, ends)?;
-        self.solids += 1;
-        Ok(self.material.remove(swept))
-    }
-
-    /// The form of the flutes that is right along a segment, and the part of the segment where they may cut.
-    fn flutes<'body>(
-        &self,
-        body: &'body Body,
-        ends: [Point; 2],
-    ) -> Result<Option<(&'body Swept, [Point; 2])>, String> {
-        let lowest = ends.map(|end| end.wide()[2]).into_iter().min();
-        let lowest = lowest.expect("there are two");
-        if let (Some(top), Some(raised)) = (self.material.top(), &body.raised)
-            && body
-                .height
-                .is_none_or(|height| lowest + height >= i64::from(top))
-        {
-            return Ok(below(ends, top).map(|ends| (raised, ends)));
-        }
-        let flutes = body
-            .flutes
-            .as_ref()
-            .ok_or("its flutes are shorter than the tool must be here")?;
-        Ok(Some((flutes, ends)))
-    }
-
-    /// What the shank and the holder go through.
-    fn hit(&mut self, body: &Body, ends: [Point; 2]) -> Result<i128, String> {
-        match &body.blunt {
-            Some(blunt) if self.top.is_some() && self.material.is_near(blunt, ends) => {
-                Ok(self.material.inside(sweep(blunt, ends)?))
-            }
-            _ => Ok(0),
-        }
-    }
-
-    /// Of what is removed, and of what remains.
-    fn properties(&self) -> (SolidProperties, Option<SolidProperties>) {
-        let totals = self.material.totals();
-        let error_max = self.material.error_max();
-        let of =
-            |totals: &Totals| solid_properties(None, None, (totals, &error_max), self.scale, 1.0);
-        let remaining = totals
-            .remaining
-            .map(|measures| of(&Totals { measures, ..totals }));
-        (of(&totals), remaining)
-    }
-
-    fn rounding(&self) -> Rounding {
-        let deviation = self.deviation.max(self.material.deviation);
-        Rounding {
-            outside: self.scale.deviation(deviation.outside),
-            inside: self.scale.deviation(deviation.inside),
-            chords: self.args.program.tolerance / self.args.unit.mm(),
-            lattice: 0.5 / f64::from(self.scale.steps_per_unit()),
-        }
-    }
-}
-
-/// `T1=`, or nothing for the tool of programs that name none.
-fn numbered(number: u32) -> String {
-    match number {
-        0 => String::new(),
-        _ => format!("T{number}="),
-    }
-}
-
-fn sweep(swept: &Swept, [from, to]: [Point; 2]) -> Result<solids::Body, String> {
-    solids::Body::swept(&swept.shape, from, to).map_err(|invalid| invalid.to_string())
-}
-
-/// The part of a segment that is not above a height; none when nothing of it is below. Where it crosses the height it is rounded to the lattice, the
-/// same in both directions.
-fn below(ends: [Point; 2], height: i32) -> Option<[Point; 2]> {
-    let height = i64::from(height);
-    let is_above = ends.map(|end| end.wide()[2] >= height);
-    match is_above {
-        [true, true] => None,
-        [false, false] => Some(ends),
-        [true, false] => Some([crossing(ends[1], ends[0], height), ends[1]]),
-        [false, true] => Some([ends[0], crossing(ends[0], ends[1], height)]),
-    }
-}
-
-/// Where the way up from one point to another crosses a height, rounded to the lattice (halves upwards).
-fn crossing(lower: Point, upper: Point, height: i64) -> Point {
-    let (from, to) = (lower.wide().map(i128::from), upper.wide().map(i128::from));
-    let (part, whole) = (i128::from(height) - from[2], to[2] - from[2]);
-    let at = [0, 1, 2].map(|axis| {
-        let moved = (2 * (to[axis] - from[axis]) * part + whole).div_euclid(2 * whole);
-        i64::try_from(from[axis] + moved).expect("it is between the two")
-    });
-    Point::new(at).expect("it is between two points")
-}
-
 fn print(args: &Args, milled: &Milled<'_>) -> Result<(), Failure> {
     let mut output = std::io::stdout().lock();
     if let Some(line) = milled.stopped_after_line {
@@ -521,8 +369,6 @@ fn print(args: &Args, milled: &Milled<'_>) -> Result<(), Failure> {
         writeln!(output, "{}", serde_json::to_string(milled)?)?;
         return Ok(());
     }
-    let unit = args.unit.label();
-    let number = |value: f64| report::figure(&value.into());
     writeln!(
         output,
         "{} moves, {} solids in {:.2} s\n",
@@ -530,28 +376,85 @@ fn print(args: &Args, milled: &Milled<'_>) -> Result<(), Failure> {
         report::figure(&milled.solids.into()),
         milled.seconds,
     )?;
-    let table = |properties: &SolidProperties| -> Result<String, Failure> {
-        Ok(report::table(&serde_json::to_value(properties)?, unit))
-    };
-    write!(output, "{}", table(&milled.mass_properties)?)?;
-    if let Some(remaining) = &milled.remaining {
-        writeln!(
-            output,
-            "{:<22}{} {unit}^3",
-            "remaining",
-            number(remaining.measures.volume)
-        )?;
-    }
+    let Milled {
+        mass_properties,
+        remaining,
+        ..
+    } = milled;
+    write!(
+        output,
+        "{}",
+        table(args, mass_properties, remaining.as_ref())?
+    )?;
     write!(output, "\n{}", report_cutting(&milled.cutting, args))?;
-    let rounding = &milled.rounding;
+    write!(output, "{}", rounding_row(args, &milled.rounding))?;
+    Ok(())
+}
+
+fn print_replaced(args: &Args, replaced: &Replaced<'_>) -> Result<(), Failure> {
+    let mut output = std::io::stdout().lock();
+    if args.json {
+        writeln!(output, "{}", serde_json::to_string(replaced)?)?;
+        return Ok(());
+    }
     writeln!(
         output,
-        "{:<22}polygons reach at most {} {unit} out of circles and circles {} {unit} out of polygons; chords of arcs at most {} {unit} off; ends of moves {} {unit}",
+        "{} moves: {} solids deleted, {} inserted, {} kept in {:.2} s\n",
+        report::figure(&replaced.moves.into()),
+        report::figure(&replaced.deleted.into()),
+        report::figure(&replaced.inserted.into()),
+        report::figure(&replaced.kept.into()),
+        replaced.seconds,
+    )?;
+    let Replaced {
+        mass_properties,
+        remaining,
+        ..
+    } = replaced;
+    write!(
+        output,
+        "{}",
+        table(args, mass_properties, remaining.as_ref())?
+    )?;
+    if let Some(line) = replaced.stale_from_line {
+        writeln!(
+            output,
+            "{:<22}what the history says lines have removed is stale from line {line} on: recompute by milling anew",
+            "history",
+        )?;
+    }
+    write!(output, "{}", rounding_row(args, &replaced.rounding))?;
+    Ok(())
+}
+
+/// What is measured, for people.
+fn table(
+    args: &Args,
+    removed: &SolidProperties,
+    remaining: Option<&SolidProperties>,
+) -> Result<String, Failure> {
+    let unit = args.unit.label();
+    let scene = removed.scene.as_ref().zip(removed.seq);
+    let scene = scene.map(|(scene, seq)| format!("{:<22}{scene}, after change {seq}\n", "scene"));
+    let measured = report::table(&serde_json::to_value(removed)?, unit);
+    let remaining = remaining.map(|remaining| {
+        let volume = report::figure(&remaining.measures.volume.into());
+        format!("{:<22}{volume} {unit}^3\n", "remaining")
+    });
+    let rows = [scene, Some(measured), remaining];
+    Ok(rows.into_iter().flatten().collect())
+}
+
+/// How far what is milled is from what the program says, for people.
+fn rounding_row(args: &Args, rounding: &Rounding) -> String {
+    let unit = args.unit.label();
+    let number = |value: f64| report::figure(&value.into());
+    format!(
+        "{:<22}polygons reach at most {} {unit} out of circles and circles {} {unit} out of polygons; chords of arcs at most {} {unit} off; ends of moves {} {unit}\n",
         "rounding",
         number(rounding.outside),
         number(rounding.inside),
         number(rounding.chords),
         number(rounding.lattice),
-    )?;
-    Ok(())
+    )
 }

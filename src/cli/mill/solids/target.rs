@@ -1,0 +1,410 @@
+//! Where the solids of a program go: into an engine in this process, or into a scene of a server.
+
+use std::time::Duration;
+
+use serde_json::Value;
+use union3d::engine::solids::{self, SolidId};
+use union3d::wire::proto::Change;
+use union3d::wire::solids::{Scale, SolidMeasures, SolidProperties, solid_properties};
+use uuid::Uuid;
+
+use super::super::super::client::Client;
+use super::super::grpc::{self, Done, GrpcStream};
+use super::super::line::Material as State;
+use super::super::tally::{self, Kind, ToolCut};
+use super::Failure;
+use super::material::{Blank, Material};
+use super::scene::{Defined, Wanted, decimal};
+use super::shop::{Cut, Stroke};
+
+/// Most solids of a change: a message of some megabytes.
+pub(super) const CHANGE_SOLIDS_MAX: usize = 65_536;
+
+/// Where the solids go.
+pub(super) enum Target {
+    Here(Box<Material>),
+    Http {
+        client: Client,
+        /// Names this run in the keys of its changes.
+        run: Uuid,
+        changes: u64,
+        defined: Defined,
+        watch: Box<Watch>,
+    },
+    Grpc {
+        stream: Box<GrpcStream<Told>>,
+        server: String,
+        scene: String,
+        defined: Defined,
+        watch: Box<Watch>,
+    },
+}
+
+/// What is known of a stroke before it is done.
+pub(super) struct Told {
+    line: u64,
+    kind: Kind,
+    duration: Option<Duration>,
+    tool: u32,
+    bodies: u64,
+    /// What its shank and holder go through, if nobody else changes the scene.
+    hit: i128,
+    /// Whether they come near the stock.
+    is_asked: bool,
+}
+
+/// What is measured at the end.
+pub(super) struct Measured {
+    /// What is removed.
+    pub(super) removed: SolidProperties,
+    /// What is left of the stock.
+    pub(super) remaining: Option<SolidProperties>,
+}
+
+/// Follows, beside a server, what the program alone removes: what shanks and holders go through is asked in between changes that are in flight.
+pub(super) struct Watch {
+    blank: Blank,
+    /// What has been cut before anything had to be asked.
+    so_far: Vec<Cut>,
+    material: Option<Material>,
+    /// The newest change of the scene that is known, as long as all after the first were this program's.
+    seq: Option<u64>,
+}
+
+impl Target {
+    /// In this process.
+    pub(super) fn here(blank: &Blank) -> Self {
+        Self::Here(Box::new(Material::new(blank)))
+    }
+
+    /// Into a scene, over HTTP.
+    pub(super) async fn http(
+        server: &str,
+        wanted: &Wanted,
+        blank: &Blank,
+    ) -> Result<Self, Failure> {
+        let mut client = Client::of(server, &wanted.name)?;
+        let found = match wanted.find_http(&mut client).await? {
+            Some(found) => wanted.check_empty(found)?,
+            None => wanted.create_http(&client).await?,
+        };
+        Ok(Self::Http {
+            client,
+            run: Uuid::new_v4(),
+            changes: 0,
+            defined: Defined::default(),
+            watch: Box::new(Watch::new(blank.clone(), found.seq)),
+        })
+    }
+
+    /// Into a scene, over gRPC.
+    pub(super) async fn grpc(
+        server: &str,
+        wanted: &Wanted,
+        blank: &Blank,
+    ) -> Result<Self, Failure> {
+        let mut client = grpc::connect(server).await?;
+        let found = wanted.open_grpc(&mut client, server).await?;
+        let found = wanted.check_empty(found)?;
+        Ok(Self::Grpc {
+            stream: Box::new(GrpcStream::open(server, client, &wanted.name).await?),
+            server: server.to_owned(),
+            scene: wanted.name.clone(),
+            defined: Defined::default(),
+            watch: Box::new(Watch::new(blank.clone(), found.seq)),
+        })
+    }
+
+    /// Sends a stroke on its way; answers what is done by now, in the order of the program.
+    pub(super) async fn send(&mut self, stroke: Stroke) -> Result<Vec<tally::Cut>, Failure> {
+        match self {
+            Self::Here(material) => {
+                let (mut removed, mut hit) = (0, 0);
+                for pass in &stroke.passes {
+                    if let Some(Cut { id, body, .. }) = &pass.flutes {
+                        removed += material.remove(*id, body.clone());
+                    }
+                    if let Some(blunt) = &pass.blunt {
+                        hit += material.inside(blunt);
+                    }
+                }
+                let told = Told::of(&stroke, hit);
+                Ok(vec![told.cut(removed, material.state(), true)])
+            }
+            Self::Http {
+                client,
+                run,
+                changes,
+                defined,
+                watch,
+            } => {
+                for cut in stroke.cuts() {
+                    defined.define_http(client, &cut.swept).await?;
+                }
+                *changes += 1;
+                let key = format!("{}-{changes}", run.simple());
+                let told = Told::of(&stroke, watch.hit(&stroke));
+                let answer = client.change(&change(&stroke)?, Some(&key)).await?;
+                let (seq, removed, after) = read(&answer).ok_or(
+                    "cannot make sense of the server's answer (is it of the same version?)",
+                )?;
+                Ok(vec![told.cut(removed, after, watch.note(seq))])
+            }
+            Self::Grpc {
+                stream,
+                server,
+                scene,
+                defined,
+                watch,
+            } => {
+                for cut in stroke.cuts() {
+                    let client = stream.client();
+                    defined
+                        .define_grpc(client, server, scene, &cut.swept)
+                        .await?;
+                }
+                let told = Told::of(&stroke, watch.hit(&stroke));
+                let done = stream.send(told, change(&stroke)?).await?;
+                Ok(done.into_iter().map(|done| watch.done(done)).collect())
+            }
+        }
+    }
+
+    /// Waits for all that is on its way, and reads what is measured then.
+    pub(super) async fn finish(self, scale: Scale) -> Result<(Vec<tally::Cut>, Measured), Failure> {
+        Ok(match self {
+            Self::Here(material) => {
+                let (totals, error_max) = material.totals();
+                let of = |totals: &solids::Totals| {
+                    solid_properties(None, None, (totals, &error_max), scale, 1.0)
+                };
+                let remaining = totals
+                    .remaining
+                    .map(|measures| of(&solids::Totals { measures, ..totals }));
+                let removed = of(&totals);
+                (vec![], Measured { removed, remaining })
+            }
+            Self::Http { client, .. } => {
+                let answer = client.mass_properties().await?;
+                (vec![], Measured::read(answer.get())?)
+            }
+            Self::Grpc {
+                stream,
+                server,
+                mut watch,
+                ..
+            } => {
+                let (done, answer) = stream.finish().await?;
+                let cuts = done.into_iter().map(|done| watch.done(done)).collect();
+                (
+                    cuts,
+                    Measured::of_message(&server, answer.solid_mass_properties)?,
+                )
+            }
+        })
+    }
+}
+
+impl Measured {
+    fn new(removed: SolidProperties, remaining: Option<SolidMeasures>) -> Self {
+        let remaining = remaining.map(|measures| SolidProperties {
+            measures,
+            ..removed.clone()
+        });
+        Self { removed, remaining }
+    }
+
+    /// From the API's mass properties.
+    fn read(answer: &str) -> Result<Self, serde_json::Error> {
+        #[derive(serde::Deserialize)]
+        struct Remaining {
+            remaining: Option<SolidMeasures>,
+        }
+        let Remaining { remaining } = serde_json::from_str(answer)?;
+        Ok(Self::new(serde_json::from_str(answer)?, remaining))
+    }
+
+    /// From the same as a message.
+    pub(super) fn of_message(
+        server: &str,
+        message: Option<union3d::wire::proto::SolidMassProperties>,
+    ) -> Result<Self, grpc::Failure> {
+        let remaining = message
+            .as_ref()
+            .and_then(|message| message.remaining.clone());
+        let remaining = remaining.map(|remaining| grpc::read(server, Some(remaining)));
+        Ok(Self::new(
+            grpc::read(server, message)?,
+            remaining.transpose()?,
+        ))
+    }
+}
+
+impl Watch {
+    fn new(blank: Blank, seq: u64) -> Self {
+        Self {
+            blank,
+            so_far: Vec::new(),
+            material: None,
+            seq: Some(seq),
+        }
+    }
+
+    /// What the shank and the holder of a stroke go through.
+    fn hit(&mut self, stroke: &Stroke) -> i128 {
+        let mut hit = 0;
+        for pass in &stroke.passes {
+            if let Some(cut) = &pass.flutes {
+                match &mut self.material {
+                    Some(material) => {
+                        material.remove(cut.id, cut.body.clone());
+                    }
+                    None => self.so_far.push(cut.clone()),
+                }
+            }
+            if let Some(blunt) = &pass.blunt {
+                let blank = &self.blank;
+                let material = self.material.get_or_insert_with(|| Material::new(blank));
+                for Cut { id, body, .. } in self.so_far.drain(..) {
+                    material.remove(id, body);
+                }
+                hit += material.inside(blunt);
+            }
+        }
+        hit
+    }
+
+    /// Notes that a change of the program is done; false when somebody else has changed the scene since the program began.
+    fn note(&mut self, seq: u64) -> bool {
+        self.seq = self.seq.filter(|before| before + 1 == seq).map(|_| seq);
+        self.seq.is_some()
+    }
+
+    fn done(&mut self, done: Done<Told>) -> tally::Cut {
+        let Done {
+            what,
+            outcome,
+            removed,
+            after,
+        } = done;
+        let is_alone = self.note(outcome.seq);
+        what.cut(removed, after, is_alone)
+    }
+}
+
+impl Told {
+    fn of(stroke: &Stroke, hit: i128) -> Self {
+        Self {
+            line: stroke.line,
+            kind: stroke.kind,
+            duration: stroke.duration,
+            tool: stroke.tool,
+            bodies: stroke.cuts().count() as u64,
+            hit,
+            is_asked: stroke.passes.iter().any(|pass| pass.blunt.is_some()),
+        }
+    }
+
+    /// What it did; `is_alone` when nobody else has changed the material.
+    fn cut(&self, removed: i128, after: State, is_alone: bool) -> tally::Cut {
+        tally::Cut {
+            line: self.line,
+            kind: self.kind,
+            duration: self.duration,
+            bodies: self.bodies,
+            removed,
+            total_removed: after.removed,
+            area: after.area,
+            tool: Some(ToolCut {
+                number: self.tool,
+                hit: (is_alone || !self.is_asked).then_some(self.hit),
+            }),
+        }
+    }
+}
+
+/// The change that a stroke is in a scene.
+fn change(stroke: &Stroke) -> Result<Change, Failure> {
+    let count = stroke.cuts().count();
+    if count > CHANGE_SOLIDS_MAX {
+        return Err(format!(
+            "line {}: its {count} chords are more than a change of a scene takes, {CHANGE_SOLIDS_MAX}: take a greater --tolerance",
+            stroke.line
+        )
+        .into());
+    }
+    Ok(Change {
+        // A change has a move and a time also when it cuts nothing.
+        r#move: Some(stroke.line),
+        duration: stroke.duration.map(|duration| duration.as_secs_f64()),
+        ..inserted(stroke.cuts().map(|cut| (cut.id, cut)))
+    })
+}
+
+/// A change that inserts solids with these ids.
+pub(super) fn inserted<'a>(cuts: impl Iterator<Item = (SolidId, &'a Cut)>) -> Change {
+    let mut change = Change::default();
+    for (id, cut) in cuts {
+        let (_, from, to) = cut.body.sweep().expect("flutes are carried");
+        let name = &cut.swept.name;
+        let known = change.shapes.iter().position(|known| known == name);
+        let shape = known.unwrap_or_else(|| {
+            change.shapes.push(name.clone());
+            change.shapes.len() - 1
+        });
+        let shape = u32::try_from(shape).expect("a program has few tools");
+        change.shape.push(shape);
+        change.insert_id.push(id.0);
+        let ([x, y, z], [to_x, to_y, to_z]) = (from.coordinates(), to.coordinates());
+        change.x.push(x);
+        change.y.push(y);
+        change.z.push(z);
+        change.to_x.push(to_x);
+        change.to_y.push(to_y);
+        change.to_z.push(to_z);
+    }
+    change
+}
+
+/// The seq of a change, what it removed and the state after it, from the API's answer to it; none when it is not that.
+fn read(answer: &Value) -> Option<(u64, i128, State)> {
+    let exact = &answer["mass_properties"]["exact"];
+    let after = State {
+        removed: decimal(&exact["volume"]["value"])?,
+        area: decimal(&exact["area"]["value"])?,
+    };
+    let removed = decimal(&answer["volume_removed_exact"])?;
+    Some((answer["seq"].as_u64()?, removed, after))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Once somebody else has changed the scene, what shanks and holders go through is not known any more, also when changes follow each
+    /// other again; a stroke that asks for nothing is known to hit nothing.
+    #[test]
+    fn hits_are_known_as_long_as_nobody_else_changes_the_scene() {
+        let blank = Blank::new(None, Scale::new(1000).unwrap()).unwrap();
+        let mut watch = Watch::new(blank, 5);
+        let told = |is_asked| Told {
+            line: 1,
+            kind: Kind::Feed,
+            duration: None,
+            tool: 1,
+            bodies: 1,
+            hit: 0,
+            is_asked,
+        };
+        let after = State {
+            removed: 0,
+            area: 0,
+        };
+        for (seq, known) in [(6, true), (7, true), (9, false), (10, false)] {
+            let is_alone = watch.note(seq);
+            let hit = |told: Told| told.cut(0, after, is_alone).tool.unwrap().hit;
+            assert_eq!(hit(told(true)), known.then_some(0), "{seq}");
+            assert_eq!(hit(told(false)), Some(0), "{seq}");
+        }
+    }
+}
