@@ -5,7 +5,7 @@
 //! Ranges, from those of a plane (normal below `2^45`, offset below `2^77`): a product of two normals is below `2^91`, a triple product
 //! below `2^138`, a homogeneous coordinate below `2^170`, the determinant of four planes below `2^217`.
 
-use ethnum::I256;
+use ethnum::{I256, U256};
 use num_bigint::{BigInt, Sign};
 
 use crate::geometry::convex::{Plane, dot};
@@ -166,23 +166,130 @@ fn big(value: I256) -> BigInt {
     BigInt::from_signed_bytes_le(&value.to_le_bytes())
 }
 
-fn dot_big(a: &[BigInt; 3], b: &[BigInt; 3]) -> BigInt {
-    &a[0] * &b[0] + &a[1] * &b[1] + &a[2] * &b[2]
+/// Integers of one width, or of any.
+trait Integer: Sized {
+    fn of(value: I256) -> Self;
+    fn plus(&self, other: &Self) -> Self;
+    fn minus(&self, other: &Self) -> Self;
+    fn times(&self, other: &Self) -> Self;
 }
 
-/// A quotient of big integers.
-struct Fraction {
-    over: BigInt,
-    under: BigInt,
+/// Implements [`Integer`] by the operators.
+macro_rules! integer {
+    ($name:ty, $of:expr) => {
+        impl Integer for $name {
+            fn of(value: I256) -> Self {
+                $of(value)
+            }
+
+            fn plus(&self, other: &Self) -> Self {
+                self + other
+            }
+
+            fn minus(&self, other: &Self) -> Self {
+                self - other
+            }
+
+            fn times(&self, other: &Self) -> Self {
+                self * other
+            }
+        }
+    };
 }
 
-impl Fraction {
-    fn times(&self, other: &Self) -> Self {
+integer!(BigInt, big);
+integer!(I256, I256::from);
+
+fn dot_of<N: Integer>(a: &[N; 3], b: &[N; 3]) -> N {
+    let [x, y, z] = [0, 1, 2].map(|axis: usize| a[axis].times(&b[axis]));
+    x.plus(&y).plus(&z)
+}
+
+/// A quotient of integers.
+struct Fraction<N> {
+    over: N,
+    under: N,
+}
+
+/// A flag's numbers as integers of one kind: its point, direction and normal, and their products.
+struct Products<N> {
+    x: [N; 3],
+    w: N,
+    t: [N; 3],
+    n: [N; 3],
+    tt: N,
+    nn: N,
+    xt: N,
+    xm: N,
+}
+
+impl<N: Integer> Products<N> {
+    fn of(flag: &Flag) -> Self {
+        let x = flag.point.x.map(N::of);
+        let t = flag.direction.map(|along| N::of(I256::from(along)));
+        let n = flag.plane.normal().map(|along| N::of(I256::from(along)));
+        let m = [(1, 2), (2, 0), (0, 1)]
+            .map(|(i, j): (usize, usize)| n[i].times(&t[j]).minus(&n[j].times(&t[i])));
         Self {
-            over: &self.over * &other.over,
-            under: &self.under * &other.under,
+            tt: dot_of(&t, &t),
+            nn: dot_of(&n, &n),
+            xt: dot_of(&x, &t),
+            xm: dot_of(&x, &m),
+            w: N::of(flag.point.w),
+            x,
+            t,
+            n,
         }
     }
+
+    /// Volume or a moment.
+    fn fraction(&self, quantity: Quantity) -> Fraction<N> {
+        let Self {
+            x,
+            w,
+            t,
+            n,
+            tt,
+            nn,
+            xt,
+            xm,
+        } = self;
+        let xn = dot_of(x, n);
+        let volume = xt.times(xm).times(&xn);
+        // The feet and the point, over one denominator: w T N.
+        let squares = tt.times(nn);
+        let unit = w.times(&squares);
+        let under = w.times(w).times(&unit);
+        let foot = |axis: usize| xn.times(&n[axis]).times(tt);
+        let point = |axis: usize| x[axis].times(&squares);
+        let on_line = |axis: usize| point(axis).minus(&xt.times(&t[axis]).times(nn));
+        let sum = |axis: usize| foot(axis).plus(&on_line(axis)).plus(&point(axis));
+        match quantity {
+            Quantity::First(axis) => Fraction {
+                over: volume.times(&sum(axis)),
+                under: under.times(&unit),
+            },
+            Quantity::Second(i, j) => {
+                let feet = foot(i).times(&foot(j)).plus(&on_line(i).times(&on_line(j)));
+                let others = point(i).times(&point(j)).plus(&sum(i).times(&sum(j)));
+                Fraction {
+                    over: volume.times(&feet.plus(&others)),
+                    under: under.times(&unit).times(&unit),
+                }
+            }
+            _ => Fraction {
+                over: volume,
+                under,
+            },
+        }
+    }
+}
+
+/// How many bits the size of the greatest of some numbers has.
+fn bits(numbers: impl IntoIterator<Item = I256>) -> u32 {
+    let sizes = numbers.into_iter().map(I256::unsigned_abs);
+    let all = sizes.fold(U256::ZERO, |all, size| all | size);
+    256 - all.leading_zeros()
 }
 
 impl Flag<'_> {
@@ -198,51 +305,39 @@ impl Flag<'_> {
     /// ```
     /// The moments are those of the orthoscheme with corners at the origin, F, G and P, times 24 and 120.
     pub(super) fn rounded(&self, quantity: Quantity, unit: Unit) -> i128 {
-        let x = self.point.x.map(big);
-        let w = big(self.point.w);
-        let t = self.direction.map(BigInt::from);
-        let n = self.plane.normal().map(BigInt::from);
-        let m =
-            [(1, 2), (2, 0), (0, 1)].map(|(i, j): (usize, usize)| &n[i] * &t[j] - &n[j] * &t[i]);
-        let (tt, nn) = (dot_big(&t, &t), dot_big(&n, &n));
-        let (xt, xm) = (dot_big(&x, &t), dot_big(&x, &m));
-        let one = BigInt::from(1);
-        match quantity {
-            Quantity::Length => round(&xt, &w, &tt, unit),
-            Quantity::Area => round(&(xt * xm), &(&w * &w * tt), &nn, unit),
-            _ => {
-                let xn = dot_big(&x, &n);
-                let volume = Fraction {
-                    over: &xt * xm * &xn,
-                    under: &w * &w * &w * &tt * &nn,
-                };
-                // The feet and the point, over one denominator: w T N.
-                let under = &w * &tt * &nn;
-                let foot = |axis: usize| &xn * &n[axis] * &tt;
-                let point = |axis: usize| &x[axis] * &tt * &nn;
-                let on_line = |axis: usize| point(axis) - &xt * &t[axis] * &nn;
-                let sum = |axis: usize| foot(axis) + on_line(axis) + point(axis);
-                let factor = match quantity {
-                    Quantity::First(axis) => Fraction {
-                        over: sum(axis),
-                        under,
-                    },
-                    Quantity::Second(i, j) => Fraction {
-                        over: foot(i) * foot(j)
-                            + on_line(i) * on_line(j)
-                            + point(i) * point(j)
-                            + sum(i) * sum(j),
-                        under: &under * &under,
-                    },
-                    _ => Fraction {
-                        over: one.clone(),
-                        under: one.clone(),
-                    },
-                };
-                let value = volume.times(&factor);
-                round_fraction(&value.over, &value.under, unit)
-            }
+        if matches!(quantity, Quantity::Length | Quantity::Area) {
+            let Products {
+                w, tt, nn, xt, xm, ..
+            } = Products::<BigInt>::of(self);
+            return match quantity {
+                Quantity::Length => round(&xt, &w, &tt, unit),
+                _ => round(&(xt * xm), &(&w * &w * tt), &nn, unit),
+            };
         }
+        if self.bits(quantity, unit) < 255 {
+            let Fraction { over, under } = Products::<I256>::of(self).fraction(quantity);
+            return round_narrow(over, under, unit);
+        }
+        let Fraction { over, under } = Products::<BigInt>::of(self).fraction(quantity);
+        round_fraction(&over, &under, unit)
+    }
+
+    /// A bound of the bits of all that is computed of a volume or a moment. With `p`, `q`, `r`, `s` bits of the point's coordinates and its `w`,
+    /// of the direction and of the normal: `P.t` has `p + r + 2`, `P.m` `p + r + s + 3`, `P.n` `p + s + 2`, `T N` `2 r + 2 s + 4`, each part of the
+    /// sums over `w T N` at most `p + 2 r + 2 s + 5`, and `F + G + P` two more.
+    fn bits(&self, quantity: Quantity, unit: Unit) -> u32 {
+        let (p, q) = (bits(self.point.x), bits([self.point.w]));
+        let both = bits(self.direction.map(I256::from)) + bits(self.plane.normal().map(I256::from));
+        let (volume, sum, squares) = (3 * p + 2 * both + 7, p + 2 * both + 7, 2 * both + 4);
+        let powers = match quantity {
+            Quantity::Second(..) => 2,
+            _ => 1,
+        };
+        // Four products of two parts are added up.
+        let over = volume + powers * sum + 2 + 1 + unit.exponent.min(0).unsigned_abs();
+        let factor = 128 - unit.factor.leading_zeros();
+        let under = 3 * q + squares + powers * (q + squares) + factor;
+        over.max(under + unit.exponent.max(0).unsigned_abs())
     }
 }
 
@@ -257,6 +352,24 @@ fn round(over: &BigInt, under: &BigInt, radicand: &BigInt, unit: Unit) -> i128 {
 /// `over / under` in a unit, rounded half away from zero.
 fn round_fraction(over: &BigInt, under: &BigInt, unit: Unit) -> i128 {
     round_half(over, under, unit, |over, under| (over << 1) / under)
+}
+
+/// The same in integers that are wide enough for it.
+fn round_narrow(over: I256, under: I256, unit: Unit) -> i128 {
+    let shift = unit.exponent.unsigned_abs();
+    let (over_shift, under_shift) = if unit.exponent < 0 {
+        (shift, 0)
+    } else {
+        (0, shift)
+    };
+    let twice =
+        (over.abs() << (over_shift + 1)) / ((under.abs() * I256::from(unit.factor)) << under_shift);
+    let size = ((twice + I256::ONE) >> 1_u32).as_i128();
+    if (over < I256::ZERO) == (under < I256::ZERO) {
+        size
+    } else {
+        -size
+    }
 }
 
 /// A value in a unit, rounded half away from zero; `twice` rounds twice the value down, of the positive quotient in units.

@@ -213,8 +213,14 @@ pub(super) struct Books {
     pub(super) rest: Measures,
 }
 
-/// What each size class adds up to, in its units.
-type Sums = [[i128; QUANTITIES.len() - 2]; CLASSES];
+/// Volume and moments: the quantities after length and area.
+const BULK: usize = QUANTITIES.len() - 2;
+
+/// What volume and moments of each size class add up to, lane by lane, in its units.
+type Sums = [[Wholes; BULK]; CLASSES];
+
+/// Groups of entries after which [`Sums`] are collected: each adds two values to a lane, and these fit 2^15 times.
+const GROUPS: usize = 1 << 12;
 
 /// By size class and quantity: units of 1, and the greatest distance from a whole number that is no tie.
 #[derive(Debug)]
@@ -233,6 +239,8 @@ pub(super) struct Ledger {
     entries: Vec<Entry>,
     points: Vec<Point>,
     tables: Box<Tables>,
+    /// All 0 between groups of entries that are collected together.
+    sums: Box<Sums>,
     flags: Flags,
     /// Those of the stock.
     flags_kept: Flags,
@@ -264,6 +272,7 @@ impl Ledger {
             entries: Vec::new(),
             points: Vec::new(),
             tables,
+            sums: Box::new([[Wholes::default(); BULK]; CLASSES]),
             flags: Flags::default(),
             flags_kept: Flags::default(),
         }
@@ -411,42 +420,36 @@ impl Ledger {
         // By kind, and in a last place what is in another book only.
         let mut lengths = [[0; NOWHERE as usize + 1]; BOOKS];
         let mut areas = [0; BOOKS];
-        let mut sums: Box<Sums> = Box::new([[0; QUANTITIES.len() - 2]; CLASSES]);
         self.flags.count += 2 * self.entries.len() as u64;
         let classes = self.points.iter().map(|point| point.class);
         self.flags.class_max = classes.fold(self.flags.class_max, u8::max);
-        for entries in self.entries.chunks(LANES) {
-            // Missing lanes repeat the first entry.
-            let lane = |index: usize| entries.get(index).unwrap_or(&entries[0]);
-            let four = [lane(0), lane(1), lane(2), lane(3)];
-            let ends = values(&four, &self.points, &self.tables);
-            for (end, values) in ends.iter().enumerate() {
+        for part in self.entries.chunks(LANES * GROUPS) {
+            let mut used = 0;
+            for entries in part.chunks(LANES) {
+                let group = Group::of(entries, &self.points);
+                used |= group.classes_used();
+                let mut ends = values(&group, &self.points, &self.tables, &mut self.sums);
+                if ends.is_unsure
+                    || self.arithmetic == Arithmetic::Exact
+                    || cfg!(feature = "paranoid")
+                {
+                    let is_exact = self.arithmetic == Arithmetic::Exact;
+                    correct(is_exact, &group, &self.points, &mut ends, &mut self.sums);
+                }
                 for (lane, entry) in entries.iter().enumerate() {
-                    let point = &self.points[entry.tail as usize + end];
-                    let value =
-                        |index: usize| self.value(entry, point, index, &values[index], lane);
-                    // The head's direction is the opposite one, and a sheet to the right has its foot the other way.
-                    let sign = if end == 0 { 1 } else { -1 } * i128::from(entry.weight);
-                    let length = -sign * value(0);
-                    let sign = sign * i128::from(entry.side);
-                    let area = sign * value(1);
+                    let both = |index: usize| {
+                        ends.values[0][index].lane(lane) + ends.values[1][index].lane(lane)
+                    };
+                    let (length, area) = (both(0), both(1));
                     for (book, kind) in entry.kinds.into_iter().enumerate() {
                         lengths[book][usize::from(kind)] += length;
                         areas[book] += if kind == NOWHERE { 0 } else { area };
                     }
-                    if entry.kinds[0] == NOWHERE {
-                        continue;
-                    }
-                    let sums = &mut sums[usize::from(point.class)];
-                    for (index, sum) in (2..).zip(sums.iter_mut()) {
-                        *sum += sign * value(index);
-                    }
                 }
             }
-        }
-        for (class, sums) in (0_u8..).zip(sums.iter()) {
-            if sums.iter().any(|sum| *sum != 0) {
-                books.union.collect(class, sums);
+            for class in (0..CLASSES as u8).filter(|class| used >> class & 1 == 1) {
+                let sums = std::mem::take(&mut self.sums[usize::from(class)]);
+                books.union.collect(class, &sums.map(|sum| sum.total()));
             }
         }
         // Volume and moments of the rest are what the union leaves.
@@ -496,38 +499,50 @@ impl Ledger {
             second_moments120: of(Quantity::Second(0, 0), VOLUME_UNIT),
         }
     }
+}
 
-    /// The rounded value of one quantity in one lane, in big integers where floats are not sure.
-    #[inline]
-    fn value(
-        &self,
-        entry: &Entry,
-        point: &Point,
-        index: usize,
-        rounded: &Rounded,
-        lane: usize,
-    ) -> i128 {
-        let exactly = || {
-            let flag = Flag {
-                point: point.place,
-                direction: entry.direction,
-                plane: &entry.plane,
-            };
-            flag.rounded(QUANTITIES[index], unit(QUANTITIES[index], point.class))
-        };
-        if rounded.unsure >> lane & 1 == 1 || self.arithmetic == Arithmetic::Exact {
-            return exactly();
+/// Puts exact values where floats are not sure, or everywhere, and what these differ by into the sums.
+fn correct(is_exact: bool, group: &Group, points: &[Point], ends: &mut Ends, sums: &mut Sums) {
+    for (end, values) in ends.values.iter_mut().enumerate() {
+        for (index, value) in values.iter_mut().enumerate() {
+            let unsure = ends.unsure[end][index];
+            let all = is_exact || cfg!(feature = "paranoid");
+            let mut lanes = if all { 0b1111 } else { unsure };
+            while lanes != 0 {
+                let lane = lanes.trailing_zeros() as usize;
+                lanes &= lanes - 1;
+                let sign = group.signs(index)[lane] * if end == 0 { 1.0 } else { -1.0 };
+                if sign == 0.0 {
+                    continue;
+                }
+                let entry = group.entries[lane];
+                let flag = Flag {
+                    point: points[entry.tail as usize + end].place,
+                    direction: entry.direction,
+                    plane: &entry.plane,
+                };
+                let (quantity, class) = (QUANTITIES[index], group.classes[end][lane]);
+                let exact = flag.rounded(quantity, unit(quantity, class as u8)) * sign as i128;
+                let difference = exact - value.lane(lane);
+                #[cfg(feature = "paranoid")]
+                assert!(
+                    is_exact || difference == 0 || unsure >> lane & 1 == 1,
+                    "the rounding's bound holds"
+                );
+                let difference =
+                    i64::try_from(difference).expect("floats are off by a unit at most");
+                value.low[lane] += difference;
+                if let Some(bulk) = index.checked_sub(QUANTITIES.len() - BULK) {
+                    sums[class][bulk].low[lane] += difference;
+                }
+            }
         }
-        let value = integer(rounded.whole[lane]) + i128::from(rounded.more[lane] as i64);
-        #[cfg(feature = "paranoid")]
-        assert_eq!(value, exactly(), "the rounding's bound holds");
-        value
     }
 }
 
 impl Measures {
     /// Adds what the points of a size class add up to.
-    fn collect(&mut self, class: u8, sums: &[i128; QUANTITIES.len() - 2]) {
+    fn collect(&mut self, class: u8, sums: &[i128; BULK]) {
         let size = |quantity| {
             let size = unit(quantity, class).above(VOLUME_UNIT);
             i128::try_from(size).expect("a unit is below 2^90")
@@ -542,18 +557,6 @@ impl Measures {
             *moment += scaled(sum, Quantity::Second(0, 0));
         }
     }
-}
-
-/// A whole float as an integer. Range: below `2^93`.
-#[inline]
-fn integer(whole: f64) -> i128 {
-    const SPLIT: i32 = 45;
-    if whole.abs() < power_of_two(62) {
-        return i128::from(whole as i64);
-    }
-    let top = (whole * power_of_two(-SPLIT)) as i64;
-    let rest = whole - top as f64 * power_of_two(SPLIT);
-    (i128::from(top) << SPLIT) + i128::from(rest as i64)
 }
 
 impl Point {
@@ -638,19 +641,94 @@ fn exact_double(value: i128) -> (f64, f64) {
     (high, (value - high as i128) as f64)
 }
 
-/// Values of a quantity in their units: whole numbers in two parts, and bits of the lanes where they may be wrong.
-#[derive(Clone, Copy)]
-struct Rounded {
-    whole: Lanes,
-    more: Lanes,
-    unsure: u8,
+/// Whole numbers below `2^93` in size, one in each lane, in two parts: `high 2^45 + low`.
+#[derive(Clone, Copy, Default, Debug)]
+struct Wholes {
+    high: [i64; LANES],
+    low: [i64; LANES],
 }
 
-type Ends = [[Rounded; QUANTITIES.len()]; 2];
+/// Where whole numbers are parted.
+const SPLIT: i32 = 45;
+
+impl Wholes {
+    fn lane(&self, lane: usize) -> i128 {
+        (i128::from(self.high[lane]) << SPLIT) + i128::from(self.low[lane])
+    }
+
+    /// The sum over the lanes.
+    fn total(&self) -> i128 {
+        (0..LANES).map(|lane| self.lane(lane)).sum()
+    }
+}
+
+/// Values in their units, with their signs.
+struct Ends {
+    values: [[Wholes; QUANTITIES.len()]; 2],
+    /// Bits of the lanes where they may be wrong.
+    unsure: [[u8; QUANTITIES.len()]; 2],
+    /// Whether there are such lanes.
+    is_unsure: bool,
+}
+
+/// Up to four entries that are evaluated side by side.
+struct Group<'e> {
+    /// Lanes without an entry repeat the first.
+    entries: [&'e Entry; LANES],
+    /// Size classes of the tails and of the heads.
+    classes: [[usize; LANES]; 2],
+    /// What values at the tails count; those at the heads count the opposite, for there the direction is. 0 without an entry.
+    length: Lanes,
+    area: Lanes,
+    bulk: Lanes,
+}
+
+impl<'e> Group<'e> {
+    fn of(entries: &'e [Entry], points: &[Point]) -> Self {
+        let mut this = Self {
+            entries: [&entries[0]; LANES],
+            classes: [[0; LANES]; 2],
+            length: [0.0; LANES],
+            area: [0.0; LANES],
+            bulk: [0.0; LANES],
+        };
+        for (lane, entry) in entries.iter().enumerate() {
+            this.entries[lane] = entry;
+            this.length[lane] = f64::from(-entry.weight);
+            // A sheet to the right has its foot the other way.
+            this.area[lane] = f64::from(entry.weight * entry.side);
+            if entry.kinds[0] != NOWHERE {
+                this.bulk[lane] = this.area[lane];
+            }
+        }
+        for (end, classes) in this.classes.iter_mut().enumerate() {
+            for (class, entry) in classes.iter_mut().zip(this.entries) {
+                *class = usize::from(points[entry.tail as usize + end].class);
+            }
+        }
+        this
+    }
+
+    /// What values of a quantity count.
+    #[inline(always)]
+    fn signs(&self, index: usize) -> &Lanes {
+        match index {
+            0 => &self.length,
+            1 => &self.area,
+            _ => &self.bulk,
+        }
+    }
+
+    /// Bits of the size classes.
+    fn classes_used(&self) -> u32 {
+        let classes = self.classes.iter().flatten();
+        classes.fold(0, |used, class| used | 1 << class)
+    }
+}
 
 twice! {
-    /// The values of four entries at their tails and at their heads, as if all were to the left of lines that begin there.
-    values, values_wide, values_body, (entries: &[&Entry; LANES], points: &[Point], tables: &Tables) -> Ends
+    /// The values of a group at its tails and at its heads; adds volume and moments to the sums.
+    values, values_wide, values_body, (group: &Group, points: &[Point], tables: &Tables, sums: &mut Sums) -> Ends
 }
 
 /// Loads double-doubles lane by lane.
@@ -669,7 +747,13 @@ macro_rules! load {
 }
 
 #[inline(always)]
-fn values_body<V: Vector>(entries: &[&Entry; LANES], points: &[Point], tables: &Tables) -> Ends {
+fn values_body<V: Vector>(
+    group: &Group,
+    points: &[Point],
+    tables: &Tables,
+    sums: &mut Sums,
+) -> Ends {
+    let entries = &group.entries;
     let n = [
         load!(entries, |entry| (entry.normal[0], 0.0)),
         load!(entries, |entry| (entry.normal[1], 0.0)),
@@ -691,14 +775,18 @@ fn values_body<V: Vector>(entries: &[&Entry; LANES], points: &[Point], tables: &
     let height = pn.times(per_nn);
     let for_volume = per_tt.times(height);
     let foot = [n[0].times(height), n[1].times(height), n[2].times(height)];
-    let none = Rounded {
-        whole: [0.0; LANES],
-        more: [0.0; LANES],
-        unsure: 0,
+    let (shrunk, grown) = (
+        V::splat(power_of_two(-SPLIT)),
+        V::splat(power_of_two(SPLIT)),
+    );
+    let mut signs = [V::of(&group.length), V::of(&group.area), V::of(&group.bulk)];
+    let mut ends = Ends {
+        values: [[Wholes::default(); QUANTITIES.len()]; 2],
+        unsure: [[0; QUANTITIES.len()]; 2],
+        is_unsure: false,
     };
-    let mut ends = [[none; QUANTITIES.len()]; 2];
-    for (end, rounded) in (0_u32..).zip(ends.iter_mut()) {
-        let at = |entry: &Entry| &points[(entry.tail + end) as usize];
+    for end in 0..2 {
+        let at = |entry: &Entry| &points[entry.tail as usize + end];
         let p = [
             load!(entries, |entry| (at(entry).high[0], at(entry).low[0])),
             load!(entries, |entry| (at(entry).high[1], at(entry).low[1])),
@@ -727,10 +815,8 @@ fn values_body<V: Vector>(entries: &[&Entry; LANES], points: &[Point], tables: &
             let products = products.plus(p[i].times(p[j])).plus(sum[i].times(sum[j]));
             values[6 + index] = volume.times(products);
         }
-        let mut classes = [0; LANES];
-        for (lane, entry) in entries.iter().enumerate() {
-            classes[lane] = usize::from(at(entry).class);
-        }
+        let classes = &group.classes[end];
+        let is_one_class = classes[1..].iter().all(|class| *class == classes[0]);
         for (index, value) in values.into_iter().enumerate() {
             let (mut scale_high, mut scale_low) = ([0.0; LANES], [0.0; LANES]);
             let mut distance = [0.0; LANES];
@@ -747,11 +833,35 @@ fn values_body<V: Vector>(entries: &[&Entry; LANES], points: &[Point], tables: &
             let rest = high.minus(whole).plus(low);
             let more = rest.nearest();
             let sure = V::of(&distance).greater(rest.minus(more).size());
-            rounded[index] = Rounded {
-                whole: whole.lanes(),
-                more: more.lanes(),
-                unsure: !sure,
+            let sign = signs[index.min(2)];
+            let high = whole.times(shrunk).nearest();
+            let low = whole.minus(high.times(grown)).plus(more);
+            let wholes = Wholes {
+                high: high.times(sign).integers(),
+                low: low.times(sign).integers(),
             };
+            let unsure = !sure & 0b1111;
+            ends.values[end][index] = wholes;
+            ends.unsure[end][index] = unsure;
+            ends.is_unsure |= unsure != 0;
+            if let Some(bulk) = index.checked_sub(QUANTITIES.len() - BULK) {
+                if is_one_class {
+                    let sum = &mut sums[classes[0]][bulk];
+                    for lane in 0..LANES {
+                        sum.high[lane] += wholes.high[lane];
+                        sum.low[lane] += wholes.low[lane];
+                    }
+                } else {
+                    for lane in 0..LANES {
+                        let sum = &mut sums[classes[lane]][bulk];
+                        sum.high[lane] += wholes.high[lane];
+                        sum.low[lane] += wholes.low[lane];
+                    }
+                }
+            }
+        }
+        for sign in &mut signs {
+            *sign = sign.negative();
         }
     }
     ends

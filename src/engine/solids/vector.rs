@@ -34,6 +34,8 @@ pub(super) trait Vector: Copy {
     fn most(self, other: Self) -> Self;
     /// Bits of the lanes where this is greater.
     fn greater(self, other: Self) -> u8;
+    /// Whole numbers below `2^51` in size as integers.
+    fn integers(self) -> [i64; LANES];
 
     #[inline(always)]
     fn splat(value: f64) -> Self {
@@ -123,6 +125,12 @@ impl Vector for Plain {
         let bit = |lane: usize| u8::from(self.0[lane] > other.0[lane]) << lane;
         bit(0) | bit(1) | bit(2) | bit(3)
     }
+
+    #[inline(always)]
+    #[expect(clippy::cast_possible_truncation, reason = "whole numbers below 2^51")]
+    fn integers(self) -> [i64; LANES] {
+        self.0.map(|whole| whole as i64)
+    }
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -137,9 +145,10 @@ mod wide {
 
     use std::arch::x86_64::{
         __m256d, _CMP_GT_OQ, _MM_FROUND_NO_EXC, _MM_FROUND_TO_NEAREST_INT, _mm256_add_pd,
-        _mm256_cmp_pd, _mm256_div_pd, _mm256_fmadd_pd, _mm256_loadu_pd, _mm256_max_pd,
-        _mm256_min_pd, _mm256_movemask_pd, _mm256_mul_pd, _mm256_round_pd, _mm256_set1_pd,
-        _mm256_sqrt_pd, _mm256_storeu_pd, _mm256_sub_pd,
+        _mm256_castpd_si256, _mm256_cmp_pd, _mm256_div_pd, _mm256_fmadd_pd, _mm256_loadu_pd,
+        _mm256_max_pd, _mm256_min_pd, _mm256_movemask_pd, _mm256_mul_pd, _mm256_round_pd,
+        _mm256_set1_pd, _mm256_sqrt_pd, _mm256_storeu_pd, _mm256_storeu_si256, _mm256_sub_epi64,
+        _mm256_sub_pd,
     };
 
     use super::{LANES, Lanes, Vector};
@@ -199,6 +208,20 @@ mod wide {
             // SAFETY: the caller has the instructions.
             let bits = unsafe { _mm256_movemask_pd(_mm256_cmp_pd::<_CMP_GT_OQ>(self.0, other.0)) };
             bits.to_le_bytes()[0]
+        }
+
+        #[inline(always)]
+        fn integers(self) -> [i64; LANES] {
+            // Added to 1.5 times 2^52 they are the last bits of the sum.
+            let zero = Self::splat(6_755_399_441_055_744.0);
+            let mut integers = [0; LANES];
+            // SAFETY: the caller has the instructions, and writes four integers.
+            unsafe {
+                let bits = _mm256_castpd_si256(self.plus(zero).0);
+                let bits = _mm256_sub_epi64(bits, _mm256_castpd_si256(zero.0));
+                _mm256_storeu_si256(integers.as_mut_ptr().cast(), bits);
+            }
+            integers
         }
     }
 }
