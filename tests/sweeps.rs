@@ -327,3 +327,61 @@ fn a_helix_bores_a_round_hole() {
         assert_eq!(again.remaining, totals.remaining);
     }
 }
+
+/// A body is made exactly where its parts can be carried, at the limits, too, and refused with the same words.
+#[test]
+fn a_body_is_refused_where_its_sweep_is() {
+    const LIMIT: i64 = 1 << 30;
+    const LONGEST: i64 = 1 << 21;
+    let cutter = cutter(End::Flat, 8, Fit::EqualArea);
+    let ball = self::cutter(round(2), 8, Fit::EqualArea);
+    let mut random = Random::new(7);
+    let mut refused = 0;
+    for round in 0..4_000 {
+        let solid = if round % 4 == 0 { &ball } else { &cutter };
+        let plain = Shape::new(vec![solid.clone()]).unwrap();
+        let bounds = solid.bounds();
+        let width = i64::from(bounds.max[0]) - i64::from(bounds.min[0]);
+        // Ends at and next to where what is swept gets too long, or too far out.
+        let near = |random: &mut Random, at: i64| at + random.below(3) as i64 - 1;
+        let reach = i64::from(bounds.max[0]);
+        let start = match random.below(4) {
+            0 => near(&mut random, LIMIT - reach),
+            1 => near(&mut random, reach - LIMIT),
+            _ => random.below(1000) as i64,
+        };
+        let way = match random.below(3) {
+            0 => near(&mut random, LONGEST - width),
+            _ => random.below(3) as i64,
+        };
+        let end = if start > 1000 {
+            start - way
+        } else {
+            start + way
+        };
+        let axis = random.below(3) as usize;
+        let mut ends = [[0; 3]; 2];
+        (ends[0][axis], ends[1][axis]) = (start, end);
+        let ends = ends.map(Point::new);
+        let [Ok(from), Ok(to)] = ends else { continue };
+        let height = i64::from(bounds.max[2]) + from.wide()[2].max(to.wide()[2]);
+        let top = near(&mut random, height).clamp(-LIMIT - 1, LIMIT + 1) as i32;
+        let (shape, expected) = if random.below(2) == 0 {
+            let expected = solid.swept(from, to).map_err(|why| why.to_string());
+            (plain, expected)
+        } else {
+            let expected = solid.swept_to_top(from, to, top);
+            (plain.with_top(top), expected.map_err(|why| why.to_string()))
+        };
+        let body = Body::swept(&Arc::new(shape), from, to).map_err(|why| why.to_string());
+        match (body, expected) {
+            (Ok(body), Ok(expected)) => assert_eq!(body.bounds(), expected.bounds()),
+            (Err(found), Err(why)) => {
+                refused += 1;
+                assert_eq!(found, format!("part 0: {why}"));
+            }
+            (body, expected) => panic!("{from:?} to {to:?}: {body:?} and {expected:?}"),
+        }
+    }
+    assert!(refused > 1_000, "{refused}");
+}

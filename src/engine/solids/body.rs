@@ -97,8 +97,10 @@ impl Body {
     /// # Errors
     /// [`InvalidBody::Part`] names the first part that gets too long, too far out or above its top.
     pub fn swept(shape: &Arc<Shape>, from: Point, to: Point) -> Result<Self, InvalidBody> {
-        for part in 0..shape.parts.len() {
-            shape.carried(part, from, to)?;
+        for (part, solid) in shape.parts.iter().enumerate() {
+            if !solid.is_surely_swept(from, to, shape.top) {
+                shape.carried(part, from, to)?;
+            }
         }
         let shape = Arc::clone(shape);
         Ok(Self(Kind::Swept { shape, from, to }))

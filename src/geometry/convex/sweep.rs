@@ -11,7 +11,9 @@
 //!       \___\___________\___/
 //! ```
 
+use super::super::lattice::COORDINATE_MAX;
 use super::builder::Builder;
+use super::limits::{EXTENT_MAX, VERTICES_MAX};
 use super::plane::Plane;
 use super::point::Point;
 use super::solid::{InvalidSolid, Solid};
@@ -78,6 +80,26 @@ impl Solid {
             points[index] = Point::new([x, y, i64::from(top)]).map_err(InvalidSolid::from)?;
         }
         Ok(self.between(points, from, to, Some(own_top))?)
+    }
+
+    /// Whether [`Solid::swept`], or with a top [`Solid::swept_to_top`], certainly succeeds, by boxes and counts alone: where it may fail, trying
+    /// it tells. O(facets).
+    pub(crate) fn is_surely_swept(&self, from: Point, to: Point, top: Option<i32>) -> bool {
+        let own = self.bounds();
+        let (from, to) = (from.wide(), to.wide());
+        let is_within = (0..3).all(|axis| {
+            let least = i64::from(own.min[axis]) + from[axis].min(to[axis]);
+            let most = i64::from(own.max[axis]) + from[axis].max(to[axis]);
+            let highest = match top {
+                Some(top) if axis == 2 => i64::from(top),
+                _ => most,
+            };
+            -i64::from(COORDINATE_MAX) <= least
+                && most <= highest
+                && highest <= i64::from(COORDINATE_MAX)
+                && highest - least <= EXTENT_MAX
+        });
+        is_within && 2 * self.vertices().len() <= VERTICES_MAX && (top.is_none() || self.has_top())
     }
 
     /// Whether the solid can be extended upwards: its highest points are a horizontal facet, and the facets around it are vertical.
