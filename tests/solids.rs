@@ -916,6 +916,49 @@ fn batches_on_several_threads_have_the_totals_of_one_by_one() {
     }
 }
 
+/// One by one and on several threads, bodies of several parts and some that are there twice among them.
+#[test]
+fn each_body_adds_what_it_adds_to_those_before_it() {
+    let mut batches = 0;
+    for number in 0..FAMILIES {
+        for seed in 0..rounds(20) {
+            let mut random = Random::new(seed * 100 + number as u64 + 4_000_000);
+            let mut bodies = Vec::new();
+            while bodies.len() < 20 {
+                bodies.extend(family(number, &mut random));
+            }
+            bodies.push(bodies[0].clone());
+            let stock = random_stock(&mut random, &bodies);
+            shuffle(&mut random, &mut bodies);
+            let bodies: Vec<_> = (0..).map(SolidId).zip(bodies).collect();
+            let mut single = Engine::new().with_stock(stock.clone());
+            let mut expected = Vec::new();
+            for (id, body) in &bodies {
+                let before = single.totals().measures;
+                insert(&mut single, usize::try_from(id.0).unwrap(), body);
+                let mut added = single.totals().measures;
+                added.retract(&before);
+                expected.push(added);
+            }
+            let threads = NonZero::new(1 + seed as usize % 3).unwrap();
+            let mut engine = Engine::new().with_stock(stock).with_threads(threads);
+            // Some are there already, and others come in two calls.
+            let (first, rest) = bodies.split_at(usize::try_from(below(&mut random, 4)).unwrap());
+            batches += u32::from(threads.get() > 1);
+            let mut found = engine.insert_each(first.to_vec()).unwrap();
+            found.extend(engine.insert_each(rest.to_vec()).unwrap());
+            let context = format!("family {number}, seed {seed}");
+            assert_eq!(found, expected, "{context}");
+            assert_eq!(engine.totals(), single.totals(), "{context}");
+            // All or none.
+            let again = vec![(SolidId(1_000), bodies[0].1.clone()), bodies[1].clone()];
+            assert_eq!(engine.insert_each(again).unwrap_err().id, bodies[1].0);
+            assert_eq!(engine.totals(), single.totals(), "{context}");
+        }
+    }
+    assert!(batches > 0);
+}
+
 #[test]
 fn without_bodies_only_the_rounding_of_the_stock_is_left() {
     let mut random = Random::new(1);

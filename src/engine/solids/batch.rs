@@ -25,6 +25,7 @@ use super::certify::Room;
 use super::features::Features;
 use super::ledger::Books;
 use super::lines::Member;
+use super::measures::Measures;
 use super::piece::Piece;
 use super::slots::{Part, State};
 use super::witnesses::Placed;
@@ -110,17 +111,26 @@ impl Batch {
 }
 
 impl Engine {
-    /// Inserts bodies whose ids are free.
-    pub(super) fn insert_batch(&mut self, bodies: &[(SolidId, Body)]) {
+    /// Inserts bodies whose ids are free; what each adds to those before it is told in their order.
+    pub(super) fn insert_batch(
+        &mut self,
+        bodies: &[(SolidId, Body)],
+        mut each: impl FnMut(Measures),
+    ) {
         for slice in bodies.chunks(SLICE) {
-            let slots = self.enter(slice);
-            self.settle(&slots);
+            let (owners, slots): (Vec<usize>, Vec<u32>) = self.enter(slice).into_iter().unzip();
+            let mut added = vec![Measures::default(); slice.len()];
+            for (owner, part) in owners.into_iter().zip(self.settle(&slots)) {
+                added[owner].add(&part);
+            }
+            added.into_iter().for_each(&mut each);
             self.slots.tidy();
         }
     }
 
-    /// Enters bodies, and puts their parts among the exposed ones, as they are; their slots.
-    fn enter(&mut self, bodies: &[(SolidId, Body)]) -> Vec<u32> {
+    /// Enters bodies, and puts their parts that have something in common with the stock among the exposed ones, as they are. For each of
+    /// these parts: which body it is of, and its slot.
+    fn enter(&mut self, bodies: &[(SolidId, Body)]) -> Vec<(usize, u32)> {
         let parts: Vec<(usize, usize)> = (0..)
             .zip(bodies)
             .flat_map(|(number, (_, body))| (0..body.len()).map(move |part| (number, part)))
@@ -132,7 +142,7 @@ impl Engine {
         });
         let mut slots = Vec::with_capacity(parts.len());
         let mut pieces = pieces.into_iter();
-        for (id, body) in bodies {
+        for (owner, (id, body)) in bodies.iter().enumerate() {
             let mut entry = Entry {
                 id: *id,
                 body: body.clone(),
@@ -148,7 +158,7 @@ impl Engine {
                 entry.slots.push(slot);
                 if let Some(bounds) = bounds {
                     self.exposed.insert(slot, bounds);
-                    slots.push(slot);
+                    slots.push((owner, slot));
                 }
             }
             self.bodies.insert(cursor(*id), entry);
@@ -157,8 +167,8 @@ impl Engine {
     }
 
     /// Evaluates parts that are among the exposed ones as they are, in this order; adds what they add, and puts those that add nothing among
-    /// the covered ones.
-    fn settle(&mut self, slots: &[u32]) {
+    /// the covered ones. Returns what each adds to those before it.
+    fn settle(&mut self, slots: &[u32]) -> Vec<Measures> {
         for &slot in slots {
             self.slots
                 .set_state(slot, State::Exposed(Features::default()));
@@ -195,6 +205,7 @@ impl Engine {
                 self.slots.set_state(fresh.slot, State::Covered(holder));
             }
         }
+        found.iter().map(|found| found.books.union).collect()
     }
 
     /// Deletes bodies that are there.

@@ -292,11 +292,42 @@ impl Engine {
         Ok(())
     }
 
+    /// Inserts bodies one after the other, whole or not at all, and says what each adds to the union of those before it. Many of them go on several
+    /// threads: the answers are the same. O(bodies named), each in its neighbourhood.
+    /// # Errors
+    /// [`Inconsistent`] when an id is not free; then nothing has changed.
+    pub fn insert_each(
+        &mut self,
+        bodies: Vec<(SolidId, Body)>,
+    ) -> Result<Vec<Measures>, Inconsistent> {
+        let effect = Effect {
+            deleted: Vec::new(),
+            inserted: bodies,
+        };
+        self.check(&effect)?;
+        let mut added = Vec::with_capacity(effect.inserted.len());
+        if self.is_batch(&effect.inserted) {
+            self.insert_batch(&effect.inserted, |measures| added.push(measures));
+            return Ok(added);
+        }
+        for (id, body) in &effect.inserted {
+            let before = self.measures;
+            self.insert(*id, body);
+            let mut more = self.measures;
+            more.retract(&before);
+            added.push(more);
+        }
+        Ok(added)
+    }
+
+    /// Whether so many bodies are worth several threads.
+    fn is_batch(&self, bodies: &[(SolidId, Body)]) -> bool {
+        self.threads > 1 && bodies.len() >= batch::BATCH_MIN
+    }
+
     /// Applies an effect that fits; `empties` when between its deletions and its insertions there is no body.
     fn replace(&mut self, effect: &Effect, empties: bool) {
-        let threads = self.threads;
-        let is_batch = |bodies: &[_]| threads > 1 && bodies.len() >= batch::BATCH_MIN;
-        if is_batch(&effect.deleted) {
+        if self.is_batch(&effect.deleted) {
             self.delete_batch(&effect.deleted);
         } else {
             for (id, _) in &effect.deleted {
@@ -307,8 +338,8 @@ impl Engine {
             // All measures are those of nothing again, to the last unit.
             self.worker.kernel.forget_flags();
         }
-        if is_batch(&effect.inserted) {
-            self.insert_batch(&effect.inserted);
+        if self.is_batch(&effect.inserted) {
+            self.insert_batch(&effect.inserted, |_| ());
         } else {
             for (id, body) in &effect.inserted {
                 self.insert(*id, body);
