@@ -20,8 +20,8 @@ pub(super) struct LineChange {
     pub(super) places: Vec<Place>,
 }
 
-/// What a scene's totals say about material. Units: steps.
-#[derive(Clone, Copy, Debug)]
+/// What a scene's totals say about material, or by how much they grow. Units: steps.
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Material {
     /// Volume removed from the stock, or of the union where there is none.
     pub(super) removed: i128,
@@ -30,6 +30,11 @@ pub(super) struct Material {
 }
 
 impl Material {
+    pub(super) fn add(&mut self, more: Self) {
+        self.removed += more.removed;
+        self.area += more.area;
+    }
+
     /// From the API's mass properties; none when they are not that.
     pub(super) fn read(properties: &Value) -> Option<Self> {
         let exact = |value: &Value| value["exact"]["volume"].as_str()?.parse().ok();

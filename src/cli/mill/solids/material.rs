@@ -1,7 +1,7 @@
 //! The material: the stock as it is written, and an engine in this process in which tools remove what they sweep.
 
 use union3d::engine::solids::{
-    AREA_UNIT, Body, Effect, Engine, ErrorMax, SolidId, Stock, Totals, VOLUME_UNIT,
+    AREA_UNIT, Body, Effect, Engine, ErrorMax, Measures, SolidId, Stock, Totals, VOLUME_UNIT,
 };
 use union3d::geometry::Bounds;
 use union3d::geometry::convex::{Deviation, Point};
@@ -124,15 +124,10 @@ impl Material {
         Self(Engine::new().with_stock(blank.stock.clone()))
     }
 
-    /// Removes what is swept, and answers how much that is. Units: [`VOLUME_UNITS`].
-    pub(super) fn remove(&mut self, id: SolidId, body: Body) -> i128 {
-        let before = self.state().removed;
-        let effect = Effect {
-            deleted: vec![],
-            inserted: vec![(id, body)],
-        };
-        self.0.apply(&effect).expect("the id is new");
-        self.state().removed - before
+    /// Removes bodies one after the other, and answers what each removes.
+    pub(super) fn remove(&mut self, bodies: Vec<(SolidId, Body)>) -> Vec<State> {
+        let added = self.0.insert_each(bodies).expect("the ids are new");
+        added.iter().map(state).collect()
     }
 
     /// How much of the material is in a body. Units: [`VOLUME_UNITS`].
@@ -145,16 +140,20 @@ impl Material {
         totals.measures.volume6 - self.state().removed
     }
 
-    /// What is removed by now. Units: [`VOLUME_UNITS`], [`AREA_UNITS`].
+    /// What is removed by now.
     pub(super) fn state(&self) -> State {
-        let measures = self.0.totals().measures;
-        State {
-            removed: measures.volume6,
-            area: measures.area2,
-        }
+        state(&self.0.totals().measures)
     }
 
     pub(super) fn totals(&self) -> (Totals, ErrorMax) {
         (self.0.totals(), self.0.error_max())
+    }
+}
+
+/// What is removed. Units: [`VOLUME_UNITS`], [`AREA_UNITS`].
+fn state(measures: &Measures) -> State {
+    State {
+        removed: measures.volume6,
+        area: measures.area2,
     }
 }

@@ -20,9 +20,16 @@ use super::shop::{Cut, Stroke};
 /// Most solids of a change: a message of some megabytes.
 pub(super) const CHANGE_SOLIDS_MAX: usize = 65_536;
 
+/// So many passes wait in this process until they are cut together, on all processors.
+const PASSES_AT_ONCE: usize = 1024;
+
 /// Where the solids go.
 pub(super) enum Target {
-    Here(Box<Material>),
+    Here {
+        material: Box<Material>,
+        waiting: Vec<Stroke>,
+        passes: usize,
+    },
     Http {
         client: Client,
         /// Names this run in the keys of its changes.
@@ -74,7 +81,11 @@ pub(super) struct Watch {
 impl Target {
     /// In this process.
     pub(super) fn here(blank: &Blank) -> Self {
-        Self::Here(Box::new(Material::new(blank)))
+        Self::Here {
+            material: Box::new(Material::new(blank)),
+            waiting: Vec::new(),
+            passes: 0,
+        }
     }
 
     /// Into a scene, over HTTP.
@@ -118,18 +129,18 @@ impl Target {
     /// Sends a stroke on its way; answers what is done by now, in the order of the program.
     pub(super) async fn send(&mut self, stroke: Stroke) -> Result<Vec<tally::Cut>, Failure> {
         match self {
-            Self::Here(material) => {
-                let (mut removed, mut hit) = (0, 0);
-                for pass in &stroke.passes {
-                    if let Some(Cut { id, body, .. }) = &pass.flutes {
-                        removed += material.remove(*id, body.clone());
-                    }
-                    if let Some(blunt) = &pass.blunt {
-                        hit += material.inside(blunt);
-                    }
+            Self::Here {
+                material,
+                waiting,
+                passes,
+            } => {
+                *passes += stroke.passes.len();
+                waiting.push(stroke);
+                if *passes < PASSES_AT_ONCE {
+                    return Ok(vec![]);
                 }
-                let told = Told::of(&stroke, hit);
-                Ok(vec![told.cut(removed, material.state(), true)])
+                *passes = 0;
+                Ok(cut_together(material, std::mem::take(waiting)))
             }
             Self::Http {
                 client,
@@ -173,7 +184,12 @@ impl Target {
     /// Waits for all that is on its way, and reads what is measured then.
     pub(super) async fn finish(self, scale: Scale) -> Result<(Vec<tally::Cut>, Measured), Failure> {
         Ok(match self {
-            Self::Here(material) => {
+            Self::Here {
+                mut material,
+                waiting,
+                ..
+            } => {
+                let cuts = cut_together(&mut material, waiting);
                 let (totals, error_max) = material.totals();
                 let of = |totals: &solids::Totals| {
                     solid_properties(None, None, (totals, &error_max), scale, 1.0)
@@ -182,7 +198,7 @@ impl Target {
                     .remaining
                     .map(|measures| of(&solids::Totals { measures, ..totals }));
                 let removed = of(&totals);
-                (vec![], Measured { removed, remaining })
+                (cuts, Measured { removed, remaining })
             }
             Self::Http { client, .. } => {
                 let answer = client.mass_properties().await?;
@@ -257,7 +273,7 @@ impl Watch {
             if let Some(cut) = &pass.flutes {
                 match &mut self.material {
                     Some(material) => {
-                        material.remove(cut.id, cut.body.clone());
+                        material.remove(vec![(cut.id, cut.body.clone())]);
                     }
                     None => self.so_far.push(cut.clone()),
                 }
@@ -265,9 +281,8 @@ impl Watch {
             if let Some(blunt) = &pass.blunt {
                 let blank = &self.blank;
                 let material = self.material.get_or_insert_with(|| Material::new(blank));
-                for Cut { id, body, .. } in self.so_far.drain(..) {
-                    material.remove(id, body);
-                }
+                let so_far = self.so_far.drain(..);
+                material.remove(so_far.map(|cut| (cut.id, cut.body)).collect());
                 hit += material.inside(blunt);
             }
         }
@@ -290,6 +305,36 @@ impl Watch {
         let is_alone = self.note(outcome.seq);
         what.cut(removed, after, is_alone)
     }
+}
+
+/// Cuts strokes in this process, in their order; what shanks and holders go through is asked in between.
+fn cut_together(material: &mut Material, strokes: Vec<Stroke>) -> Vec<tally::Cut> {
+    let mut after = material.state();
+    let mut done = vec![(State::default(), 0); strokes.len()];
+    let mut bodies: Vec<(usize, (SolidId, solids::Body))> = Vec::new();
+    let cut = |material: &mut Material, bodies: &mut Vec<_>, done: &mut [(State, i128)]| {
+        let (owners, bodies): (Vec<usize>, Vec<_>) = bodies.drain(..).unzip();
+        for (owner, more) in owners.into_iter().zip(material.remove(bodies)) {
+            done[owner].0.add(more);
+        }
+    };
+    for (index, stroke) in strokes.iter().enumerate() {
+        for pass in &stroke.passes {
+            if let Some(Cut { id, body, .. }) = &pass.flutes {
+                bodies.push((index, (*id, body.clone())));
+            }
+            if let Some(blunt) = &pass.blunt {
+                cut(material, &mut bodies, &mut done);
+                done[index].1 += material.inside(blunt);
+            }
+        }
+    }
+    cut(material, &mut bodies, &mut done);
+    let cuts = strokes.iter().zip(done).map(|(stroke, (more, hit))| {
+        after.add(more);
+        Told::of(stroke, hit).cut(more.removed, after, true)
+    });
+    cuts.collect()
 }
 
 impl Told {
