@@ -217,7 +217,7 @@ pub(super) struct Books {
 const BULK: usize = QUANTITIES.len() - 2;
 
 /// What volume and moments of each size class add up to, lane by lane, in its units.
-type Sums = [[Wholes; BULK]; CLASSES];
+type Sums = [[Wholes; BULK]];
 
 /// Groups of entries after which [`Sums`] are collected: each adds two values to a lane, and these fit 2^15 times.
 const GROUPS: usize = 1 << 12;
@@ -272,7 +272,7 @@ impl Ledger {
             entries: Vec::new(),
             points: Vec::new(),
             tables,
-            sums: Box::new([[Wholes::default(); BULK]; CLASSES]),
+            sums: vec![[Wholes::default(); BULK]; CLASSES].into_boxed_slice(),
             flags: Flags::default(),
             flags_kept: Flags::default(),
         }
@@ -775,10 +775,6 @@ fn values_body<V: Vector>(
     let height = pn.times(per_nn);
     let for_volume = per_tt.times(height);
     let foot = [n[0].times(height), n[1].times(height), n[2].times(height)];
-    let (shrunk, grown) = (
-        V::splat(power_of_two(-SPLIT)),
-        V::splat(power_of_two(SPLIT)),
-    );
     let mut signs = [V::of(&group.length), V::of(&group.area), V::of(&group.bulk)];
     let mut ends = Ends {
         values: [[Wholes::default(); QUANTITIES.len()]; 2],
@@ -816,48 +812,13 @@ fn values_body<V: Vector>(
             values[6 + index] = volume.times(products);
         }
         let classes = &group.classes[end];
-        let is_one_class = classes[1..].iter().all(|class| *class == classes[0]);
         for (index, value) in values.into_iter().enumerate() {
-            let (mut scale_high, mut scale_low) = ([0.0; LANES], [0.0; LANES]);
-            let mut distance = [0.0; LANES];
-            for lane in 0..LANES {
-                (scale_high[lane], scale_low[lane]) = tables.scales[classes[lane]][index];
-                distance[lane] = tables.distances[classes[lane]][index];
-            }
-            let Doubles { high, low } = value.times(Doubles {
-                high: V::of(&scale_high),
-                low: V::of(&scale_low),
-            });
-            let whole = high.nearest();
-            // Exact where `high` has a fraction, and `low` alone where it has none.
-            let rest = high.minus(whole).plus(low);
-            let more = rest.nearest();
-            let sure = V::of(&distance).greater(rest.minus(more).size());
-            let sign = signs[index.min(2)];
-            let high = whole.times(shrunk).nearest();
-            let low = whole.minus(high.times(grown)).plus(more);
-            let wholes = Wholes {
-                high: high.times(sign).integers(),
-                low: low.times(sign).integers(),
-            };
-            let unsure = !sure & 0b1111;
+            let (wholes, unsure) = rounded(value, signs[index.min(2)], index, classes, tables);
             ends.values[end][index] = wholes;
             ends.unsure[end][index] = unsure;
             ends.is_unsure |= unsure != 0;
             if let Some(bulk) = index.checked_sub(QUANTITIES.len() - BULK) {
-                if is_one_class {
-                    let sum = &mut sums[classes[0]][bulk];
-                    for lane in 0..LANES {
-                        sum.high[lane] += wholes.high[lane];
-                        sum.low[lane] += wholes.low[lane];
-                    }
-                } else {
-                    for lane in 0..LANES {
-                        let sum = &mut sums[classes[lane]][bulk];
-                        sum.high[lane] += wholes.high[lane];
-                        sum.low[lane] += wholes.low[lane];
-                    }
-                }
+                add_bulk(bulk, classes, &wholes, sums);
             }
         }
         for sign in &mut signs {
@@ -865,4 +826,57 @@ fn values_body<V: Vector>(
         }
     }
     ends
+}
+
+/// Values of a quantity rounded to their units, times their signs; and bits of the lanes where they may be wrong.
+#[inline(always)]
+fn rounded<V: Vector>(
+    value: Doubles<V>,
+    sign: V,
+    index: usize,
+    classes: &[usize; LANES],
+    tables: &Tables,
+) -> (Wholes, u8) {
+    let (mut scale_high, mut scale_low) = ([0.0; LANES], [0.0; LANES]);
+    let mut distance = [0.0; LANES];
+    for lane in 0..LANES {
+        (scale_high[lane], scale_low[lane]) = tables.scales[classes[lane]][index];
+        distance[lane] = tables.distances[classes[lane]][index];
+    }
+    let Doubles { high, low } = value.times(Doubles {
+        high: V::of(&scale_high),
+        low: V::of(&scale_low),
+    });
+    let whole = high.nearest();
+    // Exact where `high` has a fraction, and `low` alone where it has none.
+    let rest = high.minus(whole).plus(low);
+    let more = rest.nearest();
+    let sure = V::of(&distance).greater(rest.minus(more).size());
+    let high = whole.times(V::splat(power_of_two(-SPLIT))).nearest();
+    let low = whole
+        .minus(high.times(V::splat(power_of_two(SPLIT))))
+        .plus(more);
+    let wholes = Wholes {
+        high: high.times(sign).integers(),
+        low: low.times(sign).integers(),
+    };
+    (wholes, !sure & 0b1111)
+}
+
+/// Adds to the sums of the points' size classes.
+#[inline(always)]
+fn add_bulk(bulk: usize, classes: &[usize; LANES], wholes: &Wholes, sums: &mut Sums) {
+    if classes[1..] == [classes[0]; LANES - 1] {
+        let sum = &mut sums[classes[0]][bulk];
+        for lane in 0..LANES {
+            sum.high[lane] += wholes.high[lane];
+            sum.low[lane] += wholes.low[lane];
+        }
+    } else {
+        for (lane, class) in classes.iter().enumerate() {
+            let sum = &mut sums[*class][bulk];
+            sum.high[lane] += wholes.high[lane];
+            sum.low[lane] += wholes.low[lane];
+        }
+    }
 }
