@@ -140,7 +140,7 @@ impl Target {
                     return Ok(vec![]);
                 }
                 *passes = 0;
-                Ok(cut_together(material, std::mem::take(waiting)))
+                Ok(cut_together(material, &std::mem::take(waiting)))
             }
             Self::Http {
                 client,
@@ -189,7 +189,7 @@ impl Target {
                 waiting,
                 ..
             } => {
-                let cuts = cut_together(&mut material, waiting);
+                let cuts = cut_together(&mut material, &waiting);
                 let (totals, error_max) = material.totals();
                 let of = |totals: &solids::Totals| {
                     solid_properties(None, None, (totals, &error_max), scale, 1.0)
@@ -308,7 +308,7 @@ impl Watch {
 }
 
 /// Cuts strokes in this process, in their order; what shanks and holders go through is asked in between.
-fn cut_together(material: &mut Material, strokes: Vec<Stroke>) -> Vec<tally::Cut> {
+fn cut_together(material: &mut Material, strokes: &[Stroke]) -> Vec<tally::Cut> {
     let mut after = material.state();
     let mut done = vec![(State::default(), 0); strokes.len()];
     let mut bodies: Vec<(usize, (SolidId, solids::Body))> = Vec::new();
