@@ -49,13 +49,13 @@ pub(super) trait ChangedKind: ShownKind {
         operations_max: usize,
     ) -> Result<(), Problem>;
 
-    /// The problem of an operation whose id the scene has with another body; any other error is given back. `pointer` gives the place of an
-    /// operation in what was sent.
+    /// Which operation inserts an id that the scene has with another body, and that problem, said in user units; any other error is given
+    /// back. `pointer` gives the place of an operation in what was sent.
     fn conflict(
         error: ServiceError,
         settings: &Self::Settings,
         pointer: impl Fn(usize) -> String,
-    ) -> Result<Problem, ServiceError>;
+    ) -> Result<(usize, Problem), ServiceError>;
 }
 
 /// Whether a change is to be done.
@@ -142,7 +142,7 @@ impl<K: ChangedKind> Atomic<K> {
             Err(error) => error,
         };
         let pointer = |index| self.pointer(index, deletions);
-        let conflict = K::conflict(error, &self.settings, pointer)?;
+        let (_, conflict) = K::conflict(error, &self.settings, pointer)?;
         self.off_thread(|this| K::recheck(&this.sent, &this.settings, this.operations_max))
             .await?;
         Err(conflict)
@@ -222,13 +222,25 @@ impl ChangedKind for Cubes {
         error: ServiceError,
         settings: &Settings,
         pointer: impl Fn(usize) -> String,
-    ) -> Result<Problem, ServiceError> {
-        match error {
-            ServiceError::Rejected(rejected @ Rejected::IdConflict { .. }) => {
-                Ok(conflict(rejected, settings, pointer))
-            }
-            error => Err(error),
-        }
+    ) -> Result<(usize, Problem), ServiceError> {
+        let (index, id, there, asked) = match error {
+            ServiceError::Rejected(Rejected::IdConflict {
+                index,
+                id,
+                there,
+                asked,
+            }) => (index, id, settings.at(there), settings.at(asked)),
+            error => return Err(error),
+        };
+        let detail = format!(
+            "cube {id} is at {there:?}, so it cannot be inserted at {asked:?}",
+            id = id.0
+        );
+        let fault = Fault {
+            value: Some(serde_json::json!({"id": id.0, "at": asked})),
+            ..Fault::at(pointer(index), format!("is at {there:?} already"), None)
+        };
+        Ok((index, conflict(id, detail, fault)))
     }
 }
 
@@ -259,54 +271,24 @@ impl ChangedKind for Solids {
         error: ServiceError,
         _: &SolidSettings,
         pointer: impl Fn(usize) -> String,
-    ) -> Result<Problem, ServiceError> {
+    ) -> Result<(usize, Problem), ServiceError> {
         let (index, id) = match error {
             ServiceError::RejectedSolids(solids::Rejected::IdConflict { index, id }) => (index, id),
             error => return Err(error),
         };
-        Ok(conflict_of_solids(id, pointer(index)))
+        let detail = format!(
+            "solid {} is there already, with another body: delete it in the same change to put another in its place",
+            id.0
+        );
+        let fault = Fault {
+            value: Some(serde_json::json!({"id": id.0})),
+            ..Fault::at(pointer(index), "has another body already", None)
+        };
+        Ok((index, conflict(id, detail, fault)))
     }
 }
 
-/// The problem of an id that is at another place, said in user units. `pointer` gives the place of an operation in the body.
-pub(super) fn conflict(
-    rejected: Rejected,
-    settings: &Settings,
-    pointer: impl Fn(usize) -> String,
-) -> Problem {
-    let Rejected::IdConflict {
-        index,
-        id,
-        there,
-        asked,
-    } = rejected
-    else {
-        return ServiceError::Rejected(rejected).into();
-    };
-    let (there, asked) = (settings.at(there), settings.at(asked));
-    let detail = format!(
-        "cube {id} is at {there:?}, so it cannot be inserted at {asked:?}",
-        id = id.0
-    );
-    let fault = Fault {
-        value: Some(serde_json::json!({"id": id.0, "at": asked})),
-        ..Fault::at(pointer(index), format!("is at {there:?} already"), None)
-    };
-    Problem::new(Code::IdConflict, detail)
-        .with("id", id.0)
-        .with_fault(fault)
-}
-
-/// The problem of an id that has another body, which is inserted at `pointer`.
-pub(super) fn conflict_of_solids(id: CubeId, pointer: String) -> Problem {
-    let detail = format!(
-        "solid {} is there already, with another body: delete it in the same change to put another in its place",
-        id.0
-    );
-    let fault = Fault {
-        value: Some(serde_json::json!({"id": id.0})),
-        ..Fault::at(pointer, "has another body already", None)
-    };
+fn conflict(id: CubeId, detail: String, fault: Fault) -> Problem {
     Problem::new(Code::IdConflict, detail)
         .with("id", id.0)
         .with_fault(fault)

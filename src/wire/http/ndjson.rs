@@ -22,7 +22,7 @@ use crate::service::{
     Applied, Counting, Cubes, Kind, Motion, Operations, Published, SceneOf, ServiceError, Solids,
     Submission,
 };
-use crate::wire::atomic::{ChangedKind, conflict, conflict_of_solids};
+use crate::wire::atomic::ChangedKind;
 use crate::wire::decode;
 use crate::wire::problem::{Code, Problem};
 
@@ -48,9 +48,6 @@ pub(super) trait StreamedKind: ChangedKind {
         scene: &SceneOf<Self>,
         settings: &Self::Settings,
     ) -> Result<Op<Self::Body>, Problem>;
-
-    /// Which operation is refused, when an error names one, and why.
-    fn refused(error: &ServiceError, settings: &Self::Settings) -> Option<(usize, Problem)>;
 }
 
 impl StreamedKind for Cubes {
@@ -63,14 +60,6 @@ impl StreamedKind for Cubes {
         settings: &Self::Settings,
     ) -> Result<Op<Self::Body>, Problem> {
         decode::line(text, settings)
-    }
-
-    fn refused(error: &ServiceError, settings: &Self::Settings) -> Option<(usize, Problem)> {
-        let ServiceError::Rejected(rejected @ Rejected::IdConflict { index, .. }) = *error else {
-            return None;
-        };
-        let problem = conflict(rejected, settings, |_| "/insert".to_owned());
-        Some((index, problem))
     }
 }
 
@@ -87,14 +76,6 @@ impl StreamedKind for Solids {
         // Shapes that were defined meanwhile are there.
         let shapes = scene.context()?;
         decode::solid_line(text, &shapes, settings.scale())
-    }
-
-    fn refused(error: &ServiceError, _: &Self::Settings) -> Option<(usize, Problem)> {
-        let ServiceError::RejectedSolids(solids::Rejected::IdConflict { index, id }) = *error
-        else {
-            return None;
-        };
-        Some((index, conflict_of_solids(id, "/insert".to_owned())))
     }
 }
 
@@ -259,7 +240,8 @@ async fn commit<K: StreamedKind>(
                 refused = None;
             }
             Err(error) => {
-                let (index, problem) = K::refused(&error, settings).unwrap_or((0, error.into()));
+                let (index, problem) = K::conflict(error, settings, |_| "/insert".to_owned())
+                    .unwrap_or_else(|error| (0, error.into()));
                 to = from + index;
                 refused = Some(problem);
             }
