@@ -119,7 +119,7 @@ async fn a_queue_is_bounded_by_its_operations() {
     )
     .unwrap();
     let scene = create(&service, "s").await;
-    stop.close();
+    let closed = stop.close();
     // Larger than the bound, alone; the writer takes it and is held.
     let first = submission(insertions(0..50));
     let first = scene.submit(first, None).await.unwrap();
@@ -135,7 +135,7 @@ async fn a_queue_is_bounded_by_its_operations() {
     );
     let fourth = submission(insertions(200..204));
     let fourth = scene.submit(fourth, None).await.unwrap();
-    stop.open();
+    drop(closed);
     first.await.unwrap();
     second.await.unwrap();
     let applied = fourth.await.unwrap();
@@ -221,7 +221,7 @@ async fn replays_at_a_time_are_bounded() {
     // The threads of the scenes that are being replayed: each has its scene's name. One too many is not held, but noted.
     let replayed: Arc<Mutex<Vec<String>>> = Arc::default();
     let stop = Arc::new(Stop::default());
-    stop.close();
+    let closed = stop.close();
     let (noted, at_stop) = (replayed.clone(), stop.clone());
     let service = Service::start_with_failpoints(
         ServiceConfig {
@@ -254,7 +254,7 @@ async fn replays_at_a_time_are_bounded() {
             .unwrap();
     }
     assert_eq!(*replayed.lock(), held, "nobody else has come in");
-    stop.open();
+    drop(closed);
     for name in first {
         running(&service, &name);
     }

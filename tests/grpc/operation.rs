@@ -26,7 +26,7 @@ async fn it_serves_only_when_every_scene_is_replayed() {
     let data = server.stop().await;
 
     let stop = Arc::new(Stop::default());
-    stop.close();
+    let closed = stop.close();
     let config = ServiceConfig::new(data.path());
     let server = Server::on(
         data,
@@ -50,7 +50,7 @@ async fn it_serves_only_when_every_scene_is_replayed() {
         service: String::new(),
     };
     let mut watch = health.watch(request).await.unwrap().into_inner();
-    stop.open();
+    drop(closed);
     let shown = async {
         while watch.next().await.unwrap().unwrap().status() != ServingStatus::Serving {}
         assert_eq!(server.totals("part").await.cubes, 9);

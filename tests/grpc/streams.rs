@@ -116,7 +116,7 @@ async fn small_changes_wait_for_a_slow_disk_however_many_they_are() {
     )
     .await;
     server.scene("part", 6).await;
-    stop.close();
+    let closed = stop.close();
     let sent = Arc::new(AtomicU64::new(0));
     let count = Arc::clone(&sent);
     let messages = async_stream::stream! {
@@ -134,7 +134,7 @@ async fn small_changes_wait_for_a_slow_disk_however_many_they_are() {
         sent.load(Ordering::Acquire) == CHANGES
     })
     .await;
-    stop.open();
+    drop(closed);
     for tag in 1..=CHANGES {
         assert_eq!(acknowledged(&mut answers).await.tag, tag);
     }
@@ -165,11 +165,11 @@ async fn nothing_after_a_refused_change_is_applied() {
             .chain(before)
             .chain([tagged(21, wrong)])
             .chain(after);
-        stop.close();
+        let closed = stop.close();
         let messages = tokio_stream::iter(messages.collect::<Vec<_>>());
         let mut answers = stream(&mut server.client(), messages).await;
         opened(&mut answers).await;
-        stop.open();
+        drop(closed);
         for tag in 1..=20 {
             assert_eq!(acknowledged(&mut answers).await.tag, tag);
         }
@@ -328,7 +328,7 @@ async fn slowed_down(queue_changes_max: usize) {
     let mut answers = stream(&mut server.client(), messages).await;
     let window = u64::from(opened(&mut answers).await.window_changes_max);
     // One that does change something holds the writer at the disk.
-    stop.close();
+    let closed = stop.close();
     let change = tokio::spawn({
         let mut client = server.client();
         let request = union3d::wire::proto::ApplyChangeRequest {
@@ -342,7 +342,7 @@ async fn slowed_down(queue_changes_max: usize) {
     go.send(()).unwrap();
     let sent = stalled(&server, &count, window + ON_THE_WAY).await;
     assert!(sent < window + ON_THE_WAY, "{sent} changes were taken in");
-    stop.open();
+    drop(closed);
     for tag in 0..3_000 {
         assert_eq!(acknowledged(&mut answers).await.tag, tag);
         let ahead = count.load(Ordering::Acquire) - tag;

@@ -226,11 +226,11 @@ async fn a_slow_disk_is_a_timeout_and_the_change_still_counts() {
     };
     let server = Server::with(limits, |config| config, Some(stop.hook(FailPoint::Append))).await;
     let scene = server.scene("s", 2).await;
-    stop.close();
+    let closed = stop.close();
     let body = r#"{"insert":[{"id":1,"at":[0,0,0]}]}"#;
     let slow = server.change(&scene, body).await;
     slow.problem(503, "answer-timeout");
-    stop.open();
+    drop(closed);
     eventually("the change is there", || async {
         server.totals(&scene).await["cubes"] == 1
     })

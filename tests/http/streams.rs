@@ -198,7 +198,7 @@ async fn a_full_queue_delays_a_stream_and_refuses_a_change() {
     )
     .await;
     let scene = &server.scene("s", 1).await;
-    stop.close();
+    let closed = stop.close();
     let post = async |id: u64| {
         let body = json!({"insert": [{"id": id, "at": [id, 0, 0]}]}).to_string();
         server.change(scene, &body).await
@@ -216,7 +216,7 @@ async fn a_full_queue_delays_a_stream_and_refuses_a_change() {
             for id in 20..60 {
                 post(id).await.problem(429, "queue-full");
             }
-            stop.open();
+            drop(closed);
         };
         let lines = [insert(10, 10), insert(11, 11)].concat();
         let (filled, streamed, ()) = join3(filling, server.lines(scene, &lines), release).await;

@@ -20,6 +20,17 @@ struct State {
     held: usize,
 }
 
+/// Keeps a place closed.
+#[must_use = "it is open again when this is dropped"]
+pub(crate) struct Closed(Arc<Stop>);
+
+impl Drop for Closed {
+    fn drop(&mut self) {
+        self.0.state.lock().is_closed = false;
+        self.0.changed.notify_all();
+    }
+}
+
 impl Stop {
     /// A hook for a service, whose writers come here at this point.
     pub(crate) fn hook(self: &Arc<Self>, at: FailPoint) -> FailHook {
@@ -41,13 +52,10 @@ impl Stop {
         state.held -= 1;
     }
 
-    pub(crate) fn close(&self) {
+    /// Closes it until what is answered is dropped, also by a test that fails: it would wait for ever for the writers that are held.
+    pub(crate) fn close(self: &Arc<Self>) -> Closed {
         self.state.lock().is_closed = true;
-    }
-
-    pub(crate) fn open(&self) {
-        self.state.lock().is_closed = false;
-        self.changed.notify_all();
+        Closed(self.clone())
     }
 
     /// How many are held now.
