@@ -207,15 +207,23 @@ impl Site {
     }
 }
 
-/// Whether the log in a directory is of a scene of this kind, by its format. False when its file cannot be read or does not tell.
-pub fn is_of<K: Kind>(directory: &Path) -> bool {
-    let format = || {
-        let mut header = [0; HEADER_SIZE];
-        let mut file = fs::File::open(Site::new(directory).database).ok()?;
-        file.read_exact(&mut header).ok()?;
-        Some(i32::from_be_bytes(*header[60..].first_chunk()?))
-    };
-    format().is_some_and(|format| K::FORMATS.contains(&format))
+/// Whether the log in a directory is of a scene of this kind, by its format. False when its file is missing or cut off.
+/// # Errors
+/// Its file cannot be read.
+pub fn is_of<K: Kind>(directory: &Path) -> Result<bool, LogError> {
+    let site = Site::new(directory);
+    let mut header = [0; HEADER_SIZE];
+    let read = File::open(&site.database).and_then(|mut file| file.read_exact(&mut header));
+    match read {
+        Ok(()) => {
+            let format = header[60..].first_chunk().copied().map(i32::from_be_bytes);
+            Ok(format.is_some_and(|format| K::FORMATS.contains(&format)))
+        }
+        Err(error) => match error.kind() {
+            io::ErrorKind::NotFound | io::ErrorKind::UnexpectedEof => Ok(false),
+            _ => Err(site.io(&error)),
+        },
+    }
 }
 
 /// How far the log had come when something was last answered for.

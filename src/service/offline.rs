@@ -125,7 +125,7 @@ impl Offline {
             .iter()
             .find(|(own, _)| own == name)
             .expect("the name is one of scenes()");
-        if is_of::<Solids>(directory) {
+        if is_of::<Solids>(directory)? {
             audit_of::<Solids>(directory, AnyAudit::Solids, progress)
         } else {
             audit_of::<Cubes>(directory, AnyAudit::Cubes, progress)

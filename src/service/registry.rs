@@ -438,10 +438,23 @@ fn of_kind<K: OneOfAny>(scene: AnyScene) -> Result<Arc<SceneOf<K>>, ServiceError
     })
 }
 
-/// The scene of a directory, whose files say of which kind it is.
+/// How often the files of a scene are asked of which kind it is while they cannot be read, and how long is waited in between.
+const FORMAT_LOOKS: usize = 16;
+const FORMAT_PAUSE: Duration = Duration::from_millis(10);
+
+/// The scene of a directory, whose files say of which kind it is. What kind a scene is taken for it stays until the next start, so a read
+/// that fails is not believed at once.
 fn unopened(name: SceneName, directory: PathBuf, setup: &Arc<Setup>) -> AnyScene {
+    let mut is_of_solids = is_of::<Solids>(&directory);
+    for _ in 1..FORMAT_LOOKS {
+        if is_of_solids.is_ok() {
+            break;
+        }
+        std::thread::sleep(FORMAT_PAUSE);
+        is_of_solids = is_of::<Solids>(&directory);
+    }
     let setup = setup.clone();
-    if is_of::<Solids>(&directory) {
+    if matches!(is_of_solids, Ok(true)) {
         AnyScene::Solids(Arc::new(SceneOf::new(name, directory, setup)))
     } else {
         // Files that do not tell are damaged, as the log will say.

@@ -9,13 +9,16 @@ use std::time::Duration;
 use parking_lot::Mutex;
 use union3d::engine::{Engine, Op};
 use union3d::geometry::{CubeId, Effect, Place};
-use union3d::log::{Header, Keep, Record, Replayed, SceneLog, remove_scene};
-use union3d::service::{Motion, Operations, SceneName, SceneState, Seq, Service, ServiceConfig};
+use union3d::log::{Log, Record, Replayed, SceneLog, remove_scene};
+use union3d::service::{
+    Cubes, Motion, Operations, SceneName, SceneState, Seq, Service, ServiceConfig, Solids,
+};
 
 use super::Random;
 use super::disk::{Disk, Event, Kind, Verdict};
+use super::kinds::{Tried, edge};
 use super::power::{assert_none, cut_all, record};
-use super::workload::{Client, config, edge, submission};
+use super::workload::{Client, KEEP, config, submission};
 
 const KINDS: [Kind; 8] = [
     Kind::Open,
@@ -27,21 +30,6 @@ const KINDS: [Kind; 8] = [
     Kind::Remove,
     Kind::MakeDirectory,
 ];
-
-const HEADER: Header = Header {
-    incarnation: 1,
-    edge_steps: 3,
-    stock: None,
-    settings: String::new(),
-};
-
-const KEEP: Keep = Keep {
-    history_changes_max: 9,
-    idempotency_keys_max: 9,
-    revert_changes_max: 0,
-    revert_bytes_max: 0,
-    snapshot_log_bytes_min: 0,
-};
 
 /// After a failed sync the power may fail at any moment: so many calls later all has been written anew.
 const CALLS_WATCHED: usize = 60;
@@ -64,7 +52,7 @@ impl FailingCalls {
 }
 
 /// How many calls of a kind the workload makes on a disk that never fails.
-fn count(kind: Kind, seed: u64) -> usize {
+fn count<K: Tried>(kind: Kind, seed: u64) -> usize {
     let disk = Disk::new();
     let calls = Arc::new(AtomicUsize::new(0));
     let counted = calls.clone();
@@ -74,14 +62,14 @@ fn count(kind: Kind, seed: u64) -> usize {
         }
         Verdict::Pass
     });
-    record(&disk, Client::new(&disk, seed), async |client| {
+    record(&disk, Client::<K>::new(&disk, seed), async |client| {
         client.in_spite_of_faults().await;
     });
     calls.load(Ordering::Relaxed)
 }
 
 /// Lets calls fail, then cuts the power: at every acknowledgement, and after any of the calls that follow a failed sync.
-fn fail(fault: FailingCalls, seed: u64) -> Vec<String> {
+fn fail<K: Tried>(fault: FailingCalls, seed: u64) -> Vec<String> {
     let disk = Disk::new();
     let path = Arc::new(Mutex::new(PathBuf::new()));
     let failed = path.clone();
@@ -94,7 +82,7 @@ fn fail(fault: FailingCalls, seed: u64) -> Vec<String> {
         Verdict::Pass
     });
     let outcome = catch_unwind(AssertUnwindSafe(|| {
-        let client = Client::new(&disk, seed);
+        let client = Client::<K>::new(&disk, seed);
         let (events, story) = record(&disk, client, async |client| {
             client.in_spite_of_faults().await;
         });
@@ -117,12 +105,12 @@ fn fail(fault: FailingCalls, seed: u64) -> Vec<String> {
 }
 
 /// Faults of each kind at `positions` places spread over the workload.
-fn fail_some(kinds: &[Kind], positions: usize, seed: u64) {
+fn fail_some<K: Tried>(kinds: &[Kind], positions: usize, seed: u64) {
     let mut random = Random::new(seed);
     let mut below = |end: usize| usize::try_from(random.below(end as u64)).unwrap();
     let mut failures = Vec::new();
     for &kind in kinds {
-        let calls = count(kind, seed);
+        let calls = count::<K>(kind, seed);
         let step = calls.div_ceil(positions).max(1);
         for first in (below(step)..calls).step_by(step) {
             let fault = FailingCalls {
@@ -131,7 +119,7 @@ fn fail_some(kinds: &[Kind], positions: usize, seed: u64) {
                 pattern: u8::try_from(below(256)).unwrap() | 1,
                 errno: [libc::EIO, libc::ENOSPC][below(2)],
             };
-            failures.extend(fail(fault, seed));
+            failures.extend(fail::<K>(fault, seed));
         }
     }
     assert_none(&failures);
@@ -139,19 +127,24 @@ fn fail_some(kinds: &[Kind], positions: usize, seed: u64) {
 
 #[test]
 fn nothing_acknowledged_is_lost_when_calls_fail_and_then_the_power() {
-    fail_some(&KINDS, 16, 1);
+    fail_some::<Cubes>(&KINDS, 16, 1);
+}
+
+#[test]
+fn no_solid_that_was_acknowledged_is_lost_when_calls_fail_and_then_the_power() {
+    fail_some::<Solids>(&KINDS, 6, 1);
 }
 
 #[test]
 #[ignore = "minutes: every position"]
 fn nothing_acknowledged_is_lost_whichever_calls_fail() {
-    fail_some(&KINDS, usize::MAX, 2);
+    fail_some::<Cubes>(&KINDS, usize::MAX, 2);
+    fail_some::<Solids>(&KINDS, usize::MAX, 2);
 }
 
 /// Every call that creating a scene makes fails once. When the creation fails, nothing keeps the scene from being created once the
 /// disk works again; when it does not, the scene is there.
-#[test]
-fn a_scene_whose_creation_fails_can_be_created_later() {
+fn create_in_spite_of_faults<K: Tried>() {
     let disk = Disk::new();
     let calls = Arc::new(AtomicUsize::new(0));
     let fail_at = |at: usize| {
@@ -165,7 +158,8 @@ fn a_scene_whose_creation_fails_can_be_created_later() {
             }
         });
     };
-    let create = |path: &Path| SceneLog::create(path, &HEADER, KEEP).map(drop);
+    let (header, definitions) = (K::header(), K::first_definitions());
+    let create = |path: &Path| Log::<K>::create_with(path, &header, &definitions, KEEP).map(drop);
     fail_at(usize::MAX);
     create(&disk.path().join("whole")).unwrap();
     let all = calls.load(Ordering::Relaxed);
@@ -183,8 +177,9 @@ fn a_scene_whose_creation_fails_can_be_created_later() {
             }
             create(&path).unwrap();
         }
-        let (mut log, notices) = SceneLog::open(&path, KEEP).unwrap();
+        let (mut log, notices) = Log::<K>::open(&path, KEEP).unwrap();
         assert_eq!(notices, Vec::<String>::new(), "call {at}");
+        assert_eq!(K::defined(log.context()), definitions.len(), "call {at}");
         log.replay(&mut |_| (), &mut |replayed| {
             panic!("call {at}: {replayed:?} in an empty scene")
         })
@@ -194,13 +189,19 @@ fn a_scene_whose_creation_fails_can_be_created_later() {
     assert!(refused * 2 > all, "{refused} of {all}");
 }
 
+#[test]
+fn a_scene_whose_creation_fails_can_be_created_later() {
+    create_in_spite_of_faults::<Cubes>();
+    create_in_spite_of_faults::<Solids>();
+}
+
 /// What a snapshot holds is read back before the changes it stands for may be dropped: a chunk that reads otherwise than it was
 /// written is not taken, and the log is as it was.
 #[test]
 fn a_snapshot_that_does_not_read_as_it_was_written_is_not_taken() {
     let disk = Disk::new();
     let path = disk.path().join("scene");
-    let mut log = SceneLog::create(&path, &HEADER, KEEP).unwrap();
+    let mut log = SceneLog::create(&path, &Cubes::header(), KEEP).unwrap();
     let mut random = Random::new(5);
     let mut inserted = Vec::new();
     for id in 0..3000 {

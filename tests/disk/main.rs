@@ -11,9 +11,12 @@ mod calls;
 mod disk;
 mod faults;
 mod image;
+mod kinds;
 mod power;
 mod workload;
 
+#[path = "../oracle/bodies.rs"]
+mod bodies;
 #[path = "../oracle/random.rs"]
 mod random;
 

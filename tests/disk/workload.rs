@@ -7,36 +7,37 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use union3d::engine::{Engine, Op};
-use union3d::geometry::{CUBES_MAX, CubeId, Edge, Effect, Place, Stock, Totals};
-use union3d::log::{Keep, Record, Replayed, SceneLog};
+use union3d::engine::Op;
+use union3d::geometry::{CubeId, Effect};
+use union3d::log::{Keep, Kind, Log, Record, Replayed};
 use union3d::service::{
-    Counting, Motion, Operations, Published, Scene, SceneName, SceneState, Seq, Service,
+    Counting, Motion, Operations, Published, SceneName, SceneOf, SceneState, Seq, Service,
     ServiceConfig, ServiceError, Submission,
 };
 
 use super::Random;
 use super::disk::Disk;
+use super::kinds::Tried;
 
-/// A scene that was created: which of its lives, and its newest seq.
+/// A scene that was created: which of its lives, its newest seq, and how many definitions it has.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(crate) struct Acknowledged {
     pub(crate) life: u32,
     pub(crate) seq: u64,
+    pub(crate) definitions: usize,
 }
 
 /// Scenes by name.
 pub(crate) type World = BTreeMap<String, Acknowledged>;
 
 /// Exact totals by name, life and seq.
-pub(crate) type TotalsBySeq = BTreeMap<(String, u32, u64), Totals>;
+pub(crate) type TotalsBySeq<K> = BTreeMap<(String, u32, u64), <K as Kind>::Totals>;
 
 /// What was acknowledged, and when.
-#[derive(Default)]
-pub(crate) struct Story {
+pub(crate) struct Story<K: Tried> {
     /// By mark: what had been acknowledged when it was set. What is on its way from one to the next may be there or not.
     pub(crate) worlds: Vec<World>,
-    pub(crate) totals: TotalsBySeq,
+    pub(crate) totals: TotalsBySeq<K>,
 }
 
 /// Where the data directory is on a disk: some way down, since the way is made too.
@@ -44,9 +45,14 @@ pub(crate) fn data(root: &Path) -> PathBuf {
     root.join("srv/machines/data")
 }
 
-pub(crate) fn edge() -> Edge {
-    Edge::new(3).unwrap()
-}
+/// What is kept where that does not matter.
+pub(crate) const KEEP: Keep = Keep {
+    history_changes_max: 9,
+    idempotency_keys_max: 9,
+    revert_changes_max: 0,
+    revert_bytes_max: 0,
+    snapshot_log_bytes_min: 0,
+};
 
 /// Snapshots are written all the time.
 pub(crate) fn config(root: &Path) -> ServiceConfig {
@@ -58,9 +64,9 @@ pub(crate) fn config(root: &Path) -> ServiceConfig {
 }
 
 /// Waits until a scene answers. It is never refused for good.
-pub(crate) fn running(service: &Service, name: &str) -> Arc<Scene> {
+pub(crate) fn running<K: Tried>(service: &Service, name: &str) -> Arc<SceneOf<K>> {
     loop {
-        match service.scene(name).map(|scene| (scene.state(), scene)) {
+        match K::scene(service, name).map(|scene| (scene.state(), scene)) {
             Ok((SceneState::Running, scene)) => return scene,
             Ok((SceneState::Damaged { cause }, _)) | Err(ServiceError::Damaged { cause }) => {
                 panic!("{name} is refused: {cause}")
@@ -72,20 +78,19 @@ pub(crate) fn running(service: &Service, name: &str) -> Arc<Scene> {
 }
 
 /// A few operations on few ids in a small world: ties, moves and duplicates are the common case, conflicts are none.
-pub(crate) fn random_ops(random: &mut Random) -> Vec<Op> {
+fn random_ops<K: Tried>(random: &mut Random, definitions: usize) -> Vec<Op<K::Body>> {
     let mut ops = Vec::new();
     for _ in 0..random.within(1, 6) {
         let id = CubeId(1 + random.below(12));
         ops.push(Op::Delete(id));
         if random.below(4) > 0 {
-            let corner = [0; 3].map(|_: i64| random.within(0, 6));
-            ops.push(Op::Insert(id, Place::new(corner, edge()).unwrap()));
+            ops.push(Op::Insert(id, K::body(random, definitions)));
         }
     }
     ops
 }
 
-pub(crate) fn submission(operations: Operations) -> Submission {
+pub(crate) fn submission<K: Tried>(operations: Operations<K>) -> Submission<K> {
     Submission {
         operations,
         counting: Counting::Net,
@@ -95,22 +100,22 @@ pub(crate) fn submission(operations: Operations) -> Submission {
 }
 
 /// Somebody who changes scenes on a disk and writes down what is acknowledged.
-pub(crate) struct Client<'a> {
+pub(crate) struct Client<'a, K: Tried> {
     disk: &'a Disk,
     random: Random,
-    pub(crate) story: Story,
+    pub(crate) story: Story<K>,
     world: World,
     lives: u32,
 }
 
-impl<'a> Client<'a> {
+impl<'a, K: Tried> Client<'a, K> {
     pub(crate) fn new(disk: &'a Disk, seed: u64) -> Self {
         Self {
             disk,
             random: Random::new(seed),
             story: Story {
                 worlds: vec![World::new()],
-                ..Story::default()
+                totals: TotalsBySeq::<K>::new(),
             },
             world: World::new(),
             lives: 0,
@@ -118,7 +123,12 @@ impl<'a> Client<'a> {
     }
 
     /// Goes on where another client was when the power failed: on the scenes that were found.
-    pub(crate) fn go_on(disk: &'a Disk, seed: u64, world: World, mut totals: TotalsBySeq) -> Self {
+    pub(crate) fn go_on(
+        disk: &'a Disk,
+        seed: u64,
+        world: World,
+        mut totals: TotalsBySeq<K>,
+    ) -> Self {
         disk.mark(0);
         // What was on its way and is lost never was: other changes take its numbers.
         totals.retain(|(name, life, seq), _| {
@@ -142,6 +152,7 @@ impl<'a> Client<'a> {
         for name in self.world.clone().into_keys() {
             let scene = running(&service, &name);
             self.change(&scene).await;
+            self.define(&scene).await;
             self.change(&scene).await;
         }
         service.shutdown().await;
@@ -150,12 +161,12 @@ impl<'a> Client<'a> {
     /// All that writes, once or a few times.
     pub(crate) async fn everything(&mut self) {
         let service = Service::start(config(self.disk.path())).unwrap();
-        let stock = Stock::new([0, 0, 0], [9, 9, 5]).unwrap();
-        let part = self.create(&service, "part", Some(stock)).await;
+        let part = self.create(&service, "part", Some(K::stock())).await;
         for _ in 0..5 {
             self.change(&part).await;
         }
         self.keyed(&part, "one").await;
+        self.define(&part).await;
         self.moved(&part).await;
         self.at_once(&part, 4).await;
         self.revert(&part, 3).await;
@@ -189,6 +200,7 @@ impl<'a> Client<'a> {
             drop(service);
             let service = self.start_again();
             self.change_again(&service, "part", &mut engine).await;
+            self.define_again(&service, "part").await;
             self.change_again(&service, "part", &mut engine).await;
             if round == 0 {
                 self.remove_again(&service, "part").await;
@@ -205,19 +217,13 @@ impl<'a> Client<'a> {
         }
     }
 
-    async fn create_again(&mut self, service: &Service, name: &str) -> Engine {
+    async fn create_again(&mut self, service: &Service, name: &str) -> K::Engine {
         let scene = SceneName::new(name).unwrap();
-        while let Err(error) = service.create(&scene, edge(), None, "{}").await {
+        while let Err(error) = K::create(service, &scene, None).await {
             assert!(is_disk(&error), "{error}");
         }
-        self.lives += 1;
-        let life = self.lives;
-        let seq = 0;
-        self.world
-            .insert(name.to_owned(), Acknowledged { life, seq });
-        self.acknowledge(name, &running(service, name).published().unwrap());
-        self.mark();
-        Engine::new(edge())
+        self.created(&running(service, name));
+        K::engine(&K::header()).unwrap()
     }
 
     async fn remove_again(&mut self, service: &Service, name: &str) {
@@ -232,24 +238,36 @@ impl<'a> Client<'a> {
         self.mark();
     }
 
-    async fn change_again(&mut self, service: &Service, name: &str, engine: &mut Engine) {
-        let ops = random_ops(&mut self.random);
-        let effect = engine.judge(&ops, CUBES_MAX).unwrap().effect;
+    /// Defines what comes next, if anything does.
+    async fn define_again(&mut self, service: &Service, name: &str) {
+        let Some(definition) = K::definition(self.world[name].definitions) else {
+            return;
+        };
+        let define = || submission(Operations::Define(definition.clone()));
+        while let Err(error) = running::<K>(service, name).change(define()).await {
+            assert!(is_disk(&error), "{error}");
+        }
+        self.defined(name);
+    }
+
+    async fn change_again(&mut self, service: &Service, name: &str, engine: &mut K::Engine) {
+        let ops = self.random_ops(name);
+        let effect = self.effect(engine, &ops);
         if effect == Effect::default() {
             return;
         }
-        let before = engine.totals();
-        engine.apply(&effect).unwrap();
+        let before = K::totals(engine);
+        assert!(K::apply(engine, &effect));
         let seq = self.world[name].seq;
         let published = loop {
-            let scene = running(service, name);
+            let scene = running::<K>(service, name);
             let change = submission(Operations::Named(ops.clone()));
             match scene.change(change).await {
                 Ok(applied) => break applied.published,
                 Err(error) => assert!(is_disk(&error), "{error}"),
             }
             let published = loop {
-                match running(service, name).published() {
+                match running::<K>(service, name).published() {
                     Ok(published) => break published,
                     Err(error) => assert!(is_disk(&error), "{error}"),
                 }
@@ -257,12 +275,9 @@ impl<'a> Client<'a> {
             if published.seq.0 > seq {
                 break published;
             }
-            assert_eq!((published.seq.0, published.totals), (seq, before));
+            assert_stands(&published, seq, &before);
         };
-        assert_eq!(
-            (published.seq.0, published.totals),
-            (seq + 1, engine.totals())
-        );
+        assert_stands(&published, seq + 1, &K::totals(engine));
         self.acknowledge(name, &published);
         self.mark();
     }
@@ -273,7 +288,7 @@ impl<'a> Client<'a> {
         self.story.worlds.push(self.world.clone());
     }
 
-    fn acknowledge(&mut self, name: &str, published: &Published) {
+    fn acknowledge(&mut self, name: &str, published: &Published<K>) {
         let scene = self.world.get_mut(name).unwrap();
         scene.seq = scene.seq.max(published.seq.0);
         let key = (name.to_owned(), scene.life, published.seq.0);
@@ -281,17 +296,30 @@ impl<'a> Client<'a> {
         assert!(earlier.is_none_or(|totals| totals == published.totals));
     }
 
-    async fn create(&mut self, service: &Service, name: &str, stock: Option<Stock>) -> Arc<Scene> {
+    async fn create(
+        &mut self,
+        service: &Service,
+        name: &str,
+        stock: Option<K::Stock>,
+    ) -> Arc<SceneOf<K>> {
         let scene = SceneName::new(name).unwrap();
-        let (scene, is_new) = service.create(&scene, edge(), stock, "{}").await.unwrap();
+        let (scene, is_new) = K::create(service, &scene, stock).await.unwrap();
         assert!(is_new);
+        self.created(&scene);
+        scene
+    }
+
+    fn created(&mut self, scene: &SceneOf<K>) {
+        let name = scene.name().as_str();
         self.lives += 1;
-        let life = self.lives;
-        self.world
-            .insert(name.to_owned(), Acknowledged { life, seq: 0 });
+        let acknowledged = Acknowledged {
+            life: self.lives,
+            seq: 0,
+            definitions: K::DEFINED_FIRST,
+        };
+        self.world.insert(name.to_owned(), acknowledged);
         self.acknowledge(name, &scene.published().unwrap());
         self.mark();
-        scene
     }
 
     async fn remove(&mut self, service: &Service, name: &str) {
@@ -303,31 +331,56 @@ impl<'a> Client<'a> {
         self.mark();
     }
 
-    async fn submit(&mut self, scene: &Scene, submission: Submission) {
+    async fn submit(&mut self, scene: &SceneOf<K>, submission: Submission<K>) {
         let applied = scene.change(submission).await.unwrap();
         self.acknowledge(scene.name().as_str(), &applied.published);
         self.mark();
     }
 
-    fn random_change(&mut self) -> Submission {
-        submission(Operations::Named(random_ops(&mut self.random)))
+    fn random_ops(&mut self, name: &str) -> Vec<Op<K::Body>> {
+        random_ops::<K>(&mut self.random, self.world[name].definitions)
     }
 
-    async fn change(&mut self, scene: &Scene) {
-        let submission = self.random_change();
+    fn effect(&self, engine: &K::Engine, ops: &[Op<K::Body>]) -> Effect<K::Body> {
+        let judged = K::judge(engine, ops, &config(self.disk.path()));
+        judged.unwrap().effect
+    }
+
+    fn random_change(&mut self, scene: &SceneOf<K>) -> Submission<K> {
+        submission(Operations::Named(self.random_ops(scene.name().as_str())))
+    }
+
+    async fn change(&mut self, scene: &SceneOf<K>) {
+        let submission = self.random_change(scene);
         self.submit(scene, submission).await;
     }
 
-    async fn keyed(&mut self, scene: &Scene, key: &str) {
+    /// Defines what comes next, if anything does.
+    async fn define(&mut self, scene: &SceneOf<K>) {
+        let name = scene.name().as_str();
+        let Some(definition) = K::definition(self.world[name].definitions) else {
+            return;
+        };
+        let submission = submission(Operations::Define(definition));
+        scene.change(submission).await.unwrap();
+        self.defined(name);
+    }
+
+    fn defined(&mut self, name: &str) {
+        self.world.get_mut(name).unwrap().definitions += 1;
+        self.mark();
+    }
+
+    async fn keyed(&mut self, scene: &SceneOf<K>, key: &str) {
         let submission = Submission {
             key: Some((key.into(), [7; 32])),
-            ..self.random_change()
+            ..self.random_change(scene)
         };
         self.submit(scene, submission).await;
     }
 
     /// A move that cuts nothing.
-    async fn moved(&mut self, scene: &Scene) {
+    async fn moved(&mut self, scene: &SceneOf<K>) {
         let motion = Motion {
             number: Some(17),
             duration_ns: Some(1),
@@ -339,14 +392,14 @@ impl<'a> Client<'a> {
         self.submit(scene, submission).await;
     }
 
-    async fn revert(&mut self, scene: &Scene, seq: u64) {
+    async fn revert(&mut self, scene: &SceneOf<K>, seq: u64) {
         let submission = submission(Operations::Revert(Seq(seq)));
         self.submit(scene, submission).await;
     }
 
     /// Changes that may share commits.
-    async fn at_once(&mut self, scene: &Scene, count: usize) {
-        let changes = (0..count).map(|_| scene.change(self.random_change()));
+    async fn at_once(&mut self, scene: &SceneOf<K>, count: usize) {
+        let changes = (0..count).map(|_| scene.change(self.random_change(scene)));
         let changes: Vec<_> = changes.collect();
         for applied in futures_util::future::join_all(changes).await {
             self.acknowledge(scene.name().as_str(), &applied.unwrap().published);
@@ -364,28 +417,29 @@ impl<'a> Client<'a> {
             snapshot_log_bytes_min: 0,
         };
         let directory = data(self.disk.path()).join("scenes").join(name);
-        let (mut log, notices) = SceneLog::open(&directory, keep).unwrap();
+        let (mut log, notices) = Log::<K>::open(&directory, keep).unwrap();
         assert_eq!(notices, Vec::<String>::new());
-        let mut engine = Engine::new(edge()).with_stock(log.header().stock);
-        log.replay(&mut |_| (), &mut |replayed| {
-            match replayed {
-                Replayed::Change(record) => engine.apply(&record.effect).unwrap(),
-                Replayed::Cubes(cubes) => {
-                    let inserted = cubes.to_vec();
-                    let deleted = Vec::new();
-                    engine.apply(&Effect { deleted, inserted }).unwrap();
-                }
-                Replayed::SnapshotBegin { .. } | Replayed::SnapshotEnd { .. } => {}
+        let mut engine = K::engine(log.header()).unwrap();
+        log.replay(&mut |_| (), &mut |replayed| match replayed {
+            Replayed::Change(record) => K::apply(&mut engine, &record.effect),
+            Replayed::Cubes(bodies) => {
+                let inserted = bodies.to_vec();
+                let deleted = Vec::new();
+                K::apply(&mut engine, &Effect { deleted, inserted })
             }
-            true
+            Replayed::SnapshotBegin { .. } | Replayed::SnapshotEnd { .. } => true,
         })
         .unwrap();
         for _ in 0..2 {
-            log.snapshot_begin(1, &engine.totals(), 13).unwrap();
-            let cubes: Vec<_> = engine.cubes().collect();
-            for part in cubes.chunks(cubes.len().div_ceil(2).max(1)) {
+            log.snapshot_begin(1, &K::totals(&engine), 13).unwrap();
+            let bodies: Vec<_> = K::bodies_after(&engine, None).collect();
+            for part in bodies.chunks(bodies.len().div_ceil(2).max(1)) {
                 log.snapshot_add(part).unwrap();
                 self.append(name, &mut log, &mut engine);
+            }
+            if let Some(definition) = K::definition(self.world[name].definitions) {
+                log.define(&definition).unwrap();
+                self.defined(name);
             }
             log.snapshot_finish().unwrap();
             self.append(name, &mut log, &mut engine);
@@ -393,14 +447,14 @@ impl<'a> Client<'a> {
         }
     }
 
-    fn append(&mut self, name: &str, log: &mut SceneLog, engine: &mut Engine) {
-        let ops = random_ops(&mut self.random);
-        let effect: Effect = engine.judge(&ops, CUBES_MAX).unwrap().effect;
-        engine.apply(&effect).unwrap();
+    fn append(&mut self, name: &str, log: &mut Log<K>, engine: &mut K::Engine) {
+        let ops = self.random_ops(name);
+        let effect = self.effect(engine, &ops);
+        assert!(K::apply(engine, &effect));
         let published = Published {
             seq: Seq(log.seq().0 + 1),
             at_ms: 1,
-            totals: engine.totals(),
+            totals: K::totals(engine),
         };
         let record = Record {
             seq: published.seq,
@@ -415,6 +469,14 @@ impl<'a> Client<'a> {
         self.acknowledge(name, &published);
         self.mark();
     }
+}
+
+/// A scene is at this seq and has these totals.
+#[track_caller]
+fn assert_stands<K: Tried>(published: &Published<K>, seq: u64, totals: &K::Totals) {
+    assert_eq!(published.seq.0, seq);
+    let found = &published.totals;
+    assert!(K::agree(found, totals), "{found:?} {totals:?}");
 }
 
 /// What a disk is to blame for, and nothing else.
