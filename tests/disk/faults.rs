@@ -132,7 +132,7 @@ fn nothing_acknowledged_is_lost_when_calls_fail_and_then_the_power() {
 
 #[test]
 fn no_solid_that_was_acknowledged_is_lost_when_calls_fail_and_then_the_power() {
-    fail_some::<Solids>(&KINDS, 6, 1);
+    fail_some::<Solids>(&KINDS, 6, 2);
 }
 
 #[test]

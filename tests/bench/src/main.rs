@@ -12,7 +12,9 @@ mod expected;
 mod failure;
 mod figures;
 mod flat;
+mod hulls;
 mod machine;
+mod milling;
 mod peers;
 mod plot;
 mod progress;
@@ -21,6 +23,7 @@ mod random;
 mod scenario;
 mod service;
 mod sets;
+mod solid_sets;
 mod solids;
 mod table;
 mod union3;
@@ -50,6 +53,7 @@ enum What {
     Solids(solids::Args),
     Union3(union3::Args),
     Service(service::Args),
+    Hulls(hulls::Args),
     Peers(peers::Args),
     Count(count::Args),
 }
@@ -66,6 +70,7 @@ fn main() -> ExitCode {
         What::Solids(args) => solids::run(&args),
         What::Union3(args) => union3::run(&args),
         What::Service(args) => service::run(&args),
+        What::Hulls(args) => hulls::run(&args),
         What::Peers(args) => peers::run(&args),
         What::Count(args) => count::run(&args),
     };

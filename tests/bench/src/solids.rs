@@ -1,31 +1,27 @@
 //! `union3d-bench solids`: latencies, batches and memory of the engine of solids alone.
 
 use std::num::NonZero;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use clap::ValueEnum;
 use indicatif::ProgressBar;
 use union3d::engine::solids::{Body, Effect, Engine, Shape, SolidId, Stock, Totals};
 use union3d::geometry::Bounds;
-use union3d::geometry::convex::{Cutter, End, Fit, Point, Solid};
-use union3d::toolpath::{Event, Interpreter, Move, Options, Plane};
+use union3d::geometry::convex::{Point, Solid};
 
-use super::failure::{Failure, about};
+use super::failure::Failure;
 use super::figures::{Latencies, float, parse_count};
 use super::machine::resident;
+use super::milling::{self, Tool, swept};
 use super::progress;
 use super::random::Random;
+use super::solid_sets::SolidSet;
 use super::table::{Cell, Report, Table, figure, text};
-
-/// Lattice steps in a millimetre.
-const STEPS_PER_MM: f64 = 10_000.0;
 
 /// Above the stock, which ends at 0: the common top of all sweeps. Units: steps.
 const TOP: i32 = 20_000;
-
-/// Arcs are cut into chords no farther from them than this. Units: mm.
-const CHORD_HEIGHT: f64 = 0.02;
 
 /// Measure the engine of solids in this process: inserts, deletions, batches, memory
 #[derive(Debug, clap::Args)]
@@ -37,12 +33,16 @@ set as one batch on one and two threads; and memory. Lattice steps of a ten-thou
 same totals, and deleting everything none; otherwise the command fails.",
     after_long_help = "Examples:
   union3d-bench solids
-  union3d-bench solids --solids 20k --program part.nc --diameter 3.175"
+  union3d-bench solids --set dome --solids 5k
+  union3d-bench solids --program part.nc --diameter 3.175"
 )]
 pub(crate) struct Args {
-    /// Solids in a set of a random workload or of a raster.
+    /// Solids in a set.
     #[arg(long, value_name = "COUNT", default_value = "10k", value_parser = parse_count)]
     solids: usize,
+    /// Only these sets [default: all].
+    #[arg(long, value_enum, value_delimiter = ',', conflicts_with = "program")]
+    set: Vec<SolidSet>,
     /// A program in G-code instead, milled with a flat cutter of 24 sides: what it sweeps below z = 0.
     #[arg(long, value_name = "FILE")]
     program: Option<PathBuf>,
@@ -104,52 +104,40 @@ pub(crate) fn run(args: &Args) -> Result<(), Failure> {
 
 fn works(args: &Args) -> Result<Vec<Work>, Failure> {
     if let Some(path) = &args.program {
-        let bodies = milled(path, args.diameter)?;
-        let around = bodies.iter().map(Body::bounds).reduce(|one, other| Bounds {
-            min: std::array::from_fn(|axis| one.min[axis].min(other.min[axis])),
-            max: std::array::from_fn(|axis| one.max[axis].max(other.max[axis])),
-        });
-        let around = around.ok_or("the program sweeps nothing below z = 0")?;
-        // The outermost cuts reach out of it.
-        let inset = steps(args.diameter / 4.0);
-        let corner = |ends: [i32; 3], inwards: i64| {
-            let [x, y, z] = ends.map(i64::from);
-            Point::new([x + inwards, y + inwards, z])
+        let tool = Tool {
+            diameter: args.diameter,
+            length: 1.0,
+            ..Tool::FLAT
         };
-        let min = corner([around.min[0], around.min[1], around.min[2] - 1], inset)?;
-        let max = corner([around.max[0], around.max[1], 0], -inset)?;
+        let sweeps = milling::program(path)?;
+        let shape = Shape::new(vec![tool.solid()?])?.with_top(TOP);
+        let bodies = swept(&Arc::new(shape), &sweeps)?;
+        let Bounds { min, max } = milling::block(&sweeps, args.diameter)?;
+        let [min, max] = [min, max].map(|corner| Point::new(corner.map(i64::from)));
+        let stock = Stock::new(Solid::cuboid(min?, max?)?)?;
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         let of = |name: String, stock: Option<Stock>| Work {
             name,
             bodies: bodies.clone(),
             stock,
         };
-        let stock = Stock::new(Solid::cuboid(min, max)?)?;
         return Ok(vec![
             of(name.to_string(), None),
             of(format!("{name}, from a stock"), Some(stock)),
         ]);
     }
-    let of = |name: &str, bodies: Vec<Body>| Work {
-        name: name.to_owned(),
-        bodies,
-        stock: None,
+    let sets = match args.set.as_slice() {
+        [] => SolidSet::value_variants(),
+        some => some,
     };
-    let ball = End::Round {
-        corner_diameter: length_steps(3.175),
-        rings: 4,
+    let work = |set: &SolidSet| {
+        Ok(Work {
+            name: set.name().to_owned(),
+            bodies: set.bodies(args.solids, args.seed)?,
+            stock: None,
+        })
     };
-    Ok(vec![
-        of("boxes, rho 1", boxes(args.solids, args.seed)?),
-        of(
-            "flat, step-over 10 %, 2 mm",
-            raster(args.solids, End::Flat, 6.0, 24, 2.0)?,
-        ),
-        of(
-            "ball, step-over 10 %, 0.5 mm",
-            raster(args.solids, ball, 3.175, 16, 0.5)?,
-        ),
-    ])
+    sets.iter().map(work).collect()
 }
 
 fn measure(work: &Work, args: &Args, bar: &ProgressBar) -> Result<Vec<Cell>, Failure> {
@@ -248,126 +236,4 @@ fn equal(found: &Totals, expected: &Totals) -> Result<(), Failure> {
     } else {
         Err("one set of solids has two totals".into())
     }
-}
-
-/// Boxes with a side of 2 mm, as many in a volume as fill it once.
-fn boxes(count: usize, seed: u64) -> Result<Vec<Body>, Failure> {
-    const SIDE: i64 = 20_000;
-    let mut random = Random::new(seed);
-    let room = steps(float(count as u64).cbrt() * 2.0)
-        .max(1)
-        .cast_unsigned();
-    let corner = |random: &mut Random| [0; 3].map(|_: i64| random.below(room).cast_signed());
-    (0..count)
-        .map(|_| {
-            let low = corner(&mut random);
-            let (a, b) = (Point::new(low)?, Point::new(low.map(|at| at + SIDE))?);
-            Ok(Body::cuboid(a, b)?)
-        })
-        .collect()
-}
-
-/// A square milled back and forth in moves of this length, a tenth of the diameter from line to line.
-fn raster(
-    count: usize,
-    end: End,
-    diameter: f64,
-    sides: u16,
-    length: f64,
-) -> Result<Vec<Body>, Failure> {
-    let shape = cutter(end, diameter, sides, 20.0)?;
-    let shape = Arc::new(Shape::new(vec![shape])?);
-    let over = diameter / 10.0;
-    let width = (float(count as u64) * length * over).sqrt();
-    let moves = (width / length).ceil().max(1.0);
-    let mut at = [0.0; 3];
-    let mut bodies = Vec::with_capacity(count);
-    let mut way = length;
-    while bodies.len() < count {
-        let next = [at[0] + way, at[1], 0.0];
-        bodies.push(Body::swept(&shape, point(at)?, point(next)?)?);
-        at = next;
-        let is_end = at[0] > (moves - 0.5) * length || at[0] < 0.5 * length;
-        if is_end && bodies.len() < count {
-            let next = [at[0], at[1] + over, 0.0];
-            bodies.push(Body::swept(&shape, point(at)?, point(next)?)?);
-            at = next;
-            way = -way;
-        }
-    }
-    Ok(bodies)
-}
-
-/// What a program sweeps below z = 0, whose cutter reaches up to a common top.
-fn milled(path: &Path, diameter: f64) -> Result<Vec<Body>, Failure> {
-    let program = std::fs::read(path).map_err(about(path))?;
-    let flat = cutter(End::Flat, diameter, 24, 1.0)?;
-    let shape = Arc::new(Shape::new(vec![flat])?.with_top(TOP));
-    let mut bodies = Vec::new();
-    for event in Interpreter::new(program, Options::default()) {
-        let Event::Move(next) = event? else { continue };
-        let mut from = next.start;
-        for to in ends(&next) {
-            if from[2].min(to[2]) < 0.0 {
-                let (from, to) = (point(below(from, to))?, point(below(to, from))?);
-                if from != to {
-                    bodies.push(Body::swept(&shape, from, to)?);
-                }
-            }
-            from = to;
-        }
-    }
-    Ok(bodies)
-}
-
-/// Where the chords of a move end.
-fn ends(next: &Move) -> Vec<[f64; 3]> {
-    let Some(center) = next.center() else {
-        return vec![next.end];
-    };
-    let axes = next.plane().map_or([0, 1], Plane::axes);
-    let [a, b] = axes.map(|axis| next.start[axis] - center[axis]);
-    let radius = a.hypot(b);
-    let angle = 2.0 * (1.0 - (CHORD_HEIGHT / radius).min(1.0)).acos();
-    next.positions((radius * angle).max(CHORD_HEIGHT)).collect()
-}
-
-/// A point, or where the way to another one crosses z = 0 if the point is above.
-fn below(at: [f64; 3], other: [f64; 3]) -> [f64; 3] {
-    if at[2] <= 0.0 {
-        return at;
-    }
-    let part = other[2] / (other[2] - at[2]);
-    let mix = |axis: usize| other[axis] + (at[axis] - other[axis]) * part;
-    [mix(0), mix(1), 0.0]
-}
-
-fn cutter(end: End, diameter: f64, sides: u16, length: f64) -> Result<Solid, Failure> {
-    let cutter = Cutter {
-        end,
-        diameter: length_steps(diameter),
-        length: length_steps(length),
-        sides,
-        fit: Fit::EqualArea,
-    };
-    Ok(cutter.solid()?.0)
-}
-
-fn point(at: [f64; 3]) -> Result<Point, Failure> {
-    Ok(Point::new(at.map(steps))?)
-}
-
-/// Millimetres in steps, rounded.
-fn steps(mm: f64) -> i64 {
-    #[expect(
-        clippy::cast_possible_truncation,
-        reason = "it saturates, and points are checked"
-    )]
-    let steps = (mm * STEPS_PER_MM).round() as i64;
-    steps
-}
-
-/// A length in steps; one that is none is refused as a diameter of 0 is.
-fn length_steps(mm: f64) -> u32 {
-    u32::try_from(steps(mm)).unwrap_or(0)
 }

@@ -2,7 +2,7 @@
 
 use std::process::{Command, Output};
 
-use serde_json::Value;
+use serde_json::{Value, json};
 
 fn bench(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_union3d-bench"))
@@ -243,7 +243,7 @@ fn a_real_server_is_measured() {
     let [changes, queries, large, restart] = found.as_slice() else {
         panic!("four tables, not {found:?}");
     };
-    check_figures(changes, &["cubes_per_second", "p50_ms", "max_ms"]);
+    check_figures(changes, &["bodies_per_second", "p50_ms", "max_ms"]);
     assert_eq!(rows(changes).len(), 4 * 2 * 2);
     check_figures(queries, &["queries_per_second", "p99_ms"]);
     check_figures(large, &["changes_per_second", "p99_ms"]);
@@ -251,6 +251,114 @@ fn a_real_server_is_measured() {
     check_figures(restart, &["value"]);
     let nothing_left = std::fs::read_dir(data.path()).unwrap().count();
     assert_eq!(nothing_left, 0, "the data directory is gone");
+}
+
+#[test]
+fn a_real_server_is_measured_with_solids() {
+    let data = tempfile::tempdir().unwrap();
+    let directory = data.path().join("data");
+    std::fs::create_dir(&directory).unwrap();
+    let arguments = |more: &[&'static str]| -> Vec<String> {
+        let common = [
+            "service", "--kind", "solids", "--runs", "1", "--solids", "40",
+        ];
+        let place = ["--data", directory.to_str().unwrap()];
+        let all = [&common[..], &place, more].concat();
+        all.into_iter().map(str::to_owned).collect()
+    };
+    let measured =
+        |arguments: &[String]| tables(&arguments.iter().map(String::as_str).collect::<Vec<_>>());
+    let found = measured(&arguments(&[
+        "--seconds",
+        "0.05",
+        "--batch",
+        "1,7",
+        "--clients",
+        "1,2",
+    ]));
+    let [changes, restart] = found.as_slice() else {
+        panic!("two tables, not {found:?}");
+    };
+    check_figures(changes, &["bodies_per_second", "p50_ms", "p999_ms"]);
+    assert_eq!(rows(changes).len(), 4 * 2 * 2);
+    check_figures(restart, &["value"]);
+
+    // A program is sent whole, as often as it takes; here into a depth of 1 mm, and an arc.
+    let program = data.path().join("part.nc");
+    std::fs::write(
+        &program,
+        "G21 G90 F100\nG0 X0 Y0 Z1\nG1 Z-1\nG1 X9\nG2 X13 Y4 I0 J4\nG0 Z1\n",
+    )
+    .unwrap();
+    let mut arguments = arguments(&[
+        "--protocol",
+        "ndjson,grpc",
+        "--batch",
+        "5",
+        "--clients",
+        "1",
+    ]);
+    arguments.extend(["--program".to_owned(), program.to_str().unwrap().to_owned()]);
+    let found = measured(&arguments);
+    check_figures(&found[0], &["bodies_per_second"]);
+    assert_eq!(rows(&found[0]).len(), 2);
+    let unit = |row: &Value| row["unit"] == "solids/s";
+    assert!(rows(&found[1]).iter().any(unit), "{found:?}");
+    let nothing_left = std::fs::read_dir(&directory).unwrap().count();
+    assert_eq!(nothing_left, 0, "the data directory is gone");
+}
+
+#[test]
+fn solids_are_measured_set_by_set() {
+    let found = tables(&["solids", "--solids", "30", "--deletions", "5"]);
+    check_figures(&found[0], &["insert_p50_us", "delete_p99_us", "batch_2_s"]);
+    assert_eq!(rows(&found[0]).len(), 4);
+    let found = tables(&[
+        "solids",
+        "--set",
+        "dome",
+        "--solids",
+        "20",
+        "--deletions",
+        "5",
+    ]);
+    assert_eq!(rows(&found[0])[0]["workload"], "dome of capsules");
+}
+
+#[test]
+fn peers_get_figures_and_measures_of_solids() {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("solids.ndjson");
+    let name = file.to_str().unwrap();
+    // Two cubes of edge 2 that overlap by half, and one apart.
+    let cube = |x: i64| {
+        let corner = |number: i64| [x + 2 * (number & 1), number & 2, (number & 4) / 2];
+        json!({"hull": (0..8).map(corner).collect::<Vec<_>>()})
+    };
+    std::fs::write(&file, format!("{}\n{}\n{}\n", cube(0), cube(1), cube(10))).unwrap();
+    let measured = || -> Value {
+        serde_json::from_str(&success(&["peers", "--solids", name, "--runs", "1"])).unwrap()
+    };
+    let answer = measured();
+    assert_eq!(answer["bodies"], 3);
+    assert_eq!(answer["volume"], 20.0);
+    assert_eq!(answer["area"], 56.0);
+    for key in ["batch", "insert", "inserts", "deletes"] {
+        assert!(
+            answer[format!("{key}_seconds")].as_f64() > Some(0.0),
+            "{answer}"
+        );
+    }
+    // A set that is printed is read again; 20 boxes of 8 mm^3 cover each point once on average.
+    for set in ["boxes", "flat", "ball", "dome"] {
+        let printed = success(&["hulls", "--set", set, "--solids", "20"]);
+        std::fs::write(&file, printed).unwrap();
+        let answer = measured();
+        assert_eq!(answer["bodies"], 20, "{set}");
+        assert!(answer["volume"].as_f64() > Some(1e12), "{set}: {answer}");
+    }
+    std::fs::write(&file, "{\"hull\":[[0,0,0]]}\n").unwrap();
+    check_refused(&["peers", "--solids", name], &["solids.ndjson:1"]);
 }
 
 #[test]
@@ -267,7 +375,7 @@ fn peers_get_figures_and_measures_of_a_file() {
     let name = file.to_str().unwrap();
     let answer: Value =
         serde_json::from_str(&success(&["peers", "--cubes", name, "--edge", "2"])).unwrap();
-    assert_eq!(answer["cubes"], 3);
+    assert_eq!(answer["bodies"], 3);
     assert_eq!(answer["volume"], 20.0);
     assert_eq!(answer["area"], 56.0);
     assert!(answer["batch_seconds"].as_f64() > Some(0.0));
@@ -320,7 +428,17 @@ fn wrong_arguments_are_refused() {
     let data = data.path().to_str().unwrap();
     let program = "no/such/program";
     check_refused(
-        &["service", "--data", data, "--program", program],
+        &["service", "--data", data, "--server", program],
         &[program],
     );
+    for (kind, other) in [
+        ("cubes", ["--program", "part.nc"]),
+        ("cubes", ["--solids", "9"]),
+        ("solids", ["--cubes", "9"]),
+        ("solids", ["--part", "large"]),
+    ] {
+        let arguments = [&["service", "--kind", kind], &other[..]].concat();
+        check_refused(&arguments, &[other[0], kind]);
+    }
+    check_refused(&["peers"], &["--cubes", "--solids"]);
 }

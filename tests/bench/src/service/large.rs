@@ -6,12 +6,13 @@ use std::time::{Duration, Instant};
 use bytes::Bytes;
 use hyper::Method;
 
-use super::bodies::{self, Protocol, Side};
+use super::bodies::{self, Kind, Protocol, Side};
 use super::link::Link;
-use super::load::{self, Done, Supply, on_this_thread, summary};
+use super::load::{self, Done, Summary, Supply, on_this_thread};
 use super::scene::{changes, check_and_drop, create};
 use super::server::Server;
 use super::setup::Setup;
+use super::work::settings_of_cubes;
 use crate::failure::Failure;
 use crate::figures::{Latencies, median};
 use crate::random::Random;
@@ -36,7 +37,7 @@ pub(super) fn measure(setup: &Setup<'_>) -> Result<Table, Failure> {
         ],
     );
     let server = setup.server("large")?;
-    let small = setup.protobuf_bodies(1, 1);
+    let small = setup.protobuf_bodies(1, 1)?;
     let cubes = bodies::cubes(
         1,
         setup.args.large,
@@ -56,7 +57,7 @@ pub(super) fn measure(setup: &Setup<'_>) -> Result<Table, Failure> {
             runs.push(done);
             large.extend(seconds);
         }
-        let [changes, p50, p99, max] = summary(runs);
+        let done = Summary::of(runs);
         table.push(vec![
             text(other),
             if large.is_empty() {
@@ -64,10 +65,10 @@ pub(super) fn measure(setup: &Setup<'_>) -> Result<Table, Failure> {
             } else {
                 figure(median(large))
             },
-            figure(changes),
-            figure(p50),
-            figure(p99),
-            figure(max),
+            figure(done.requests),
+            figure(done.p50),
+            figure(done.p99),
+            figure(done.max),
         ]);
     }
     Ok(table)
@@ -85,8 +86,8 @@ fn beside(
     let (http, kind) = (server.http, Protocol::Protobuf.content_type());
     let deleting = large.is_some_and(|[measured, _]| measured != full);
     on_this_thread(async {
-        create(http, "small").await?;
-        create(http, "large").await?;
+        create(http, "small", settings_of_cubes()).await?;
+        create(http, "large", settings_of_cubes()).await?;
         if deleting {
             let mut link = Link::open(http).await?;
             let (path, body) = (changes("large"), full.clone());
@@ -134,12 +135,12 @@ fn beside(
         }
     }
     on_this_thread(async {
-        check_and_drop(http, "small", done.requests).await?;
+        check_and_drop(http, "small", Kind::Cubes, done.requests).await?;
         let there = match large {
             Some(_) if !deleting => setup.args.large,
             _ => 0,
         };
-        check_and_drop(http, "large", there).await
+        check_and_drop(http, "large", Kind::Cubes, there).await
     })?;
     Ok((done, seconds))
 }

@@ -138,16 +138,29 @@ pub(super) fn on_this_thread<T>(
     runtime.enable_all().build()?.block_on(work)
 }
 
-/// Answers a second, and p50, p99 and maximum in milliseconds: medians over runs.
-pub(super) fn summary(runs: Vec<Done>) -> [f64; 4] {
-    let rates = runs.iter().map(|done| rate(done.requests, done.time));
-    let requests = median(rates);
-    let spreads = runs.into_iter().map(|done| done.latencies.spread());
-    let spread = Spread::median_of(&spreads.collect::<Vec<_>>());
-    [
-        requests,
-        spread.p50 / 1e3,
-        spread.p99 / 1e3,
-        spread.max / 1e3,
-    ]
+/// Medians over runs.
+pub(super) struct Summary {
+    /// Requests answered in a second.
+    pub(super) requests: f64,
+    // How long they took. Units: milliseconds.
+    pub(super) p50: f64,
+    pub(super) p99: f64,
+    pub(super) p999: f64,
+    pub(super) max: f64,
+}
+
+impl Summary {
+    pub(super) fn of(runs: Vec<Done>) -> Self {
+        let rates = runs.iter().map(|done| rate(done.requests, done.time));
+        let requests = median(rates);
+        let spreads = runs.into_iter().map(|done| done.latencies.spread());
+        let spread = Spread::median_of(&spreads.collect::<Vec<_>>());
+        Self {
+            requests,
+            p50: spread.p50 / 1e3,
+            p99: spread.p99 / 1e3,
+            p999: spread.p999 / 1e3,
+            max: spread.max / 1e3,
+        }
+    }
 }

@@ -18,6 +18,7 @@ mod scene;
 mod server;
 mod setup;
 mod throughput;
+mod work;
 
 use std::time::Duration;
 
@@ -25,6 +26,7 @@ pub(crate) use self::args::Args;
 use self::args::Part;
 use self::disk::{APPEND_BYTES, APPENDS, sync_us};
 use self::setup::Setup;
+use self::work::Work;
 use super::failure::{Failure, about};
 use super::machine::file_system;
 use super::progress;
@@ -32,6 +34,8 @@ use super::table::Report;
 
 /// Runs `union3d-bench service`.
 pub(crate) fn run(args: &Args) -> Result<(), Failure> {
+    args.check()?;
+    let work = Work::new(args)?;
     let mut report = Report::new();
     let data = tempfile::Builder::new()
         .prefix("union3d-bench-")
@@ -44,26 +48,29 @@ pub(crate) fn run(args: &Args) -> Result<(), Failure> {
         sync_us(data.path())?
     ));
     let setup = Setup {
-        time: Duration::from_secs_f64(args.seconds),
+        time: match work {
+            Work::Program(..) => Duration::MAX,
+            Work::Cubes | Work::Raster(_) => Duration::from_secs_f64(args.seconds),
+        },
+        work,
         data: data.path(),
         bar: progress::work(),
         args,
-        program: match &args.program {
+        program: match &args.server {
             Some(program) => program.clone(),
             None => server::beside_this()?,
         },
     };
-    let wanted = |part| args.part.is_empty() || args.part.contains(&part);
-    if wanted(Part::Throughput) {
+    if args.wants(Part::Throughput) {
         report.push(throughput::measure(&setup)?);
     }
-    if wanted(Part::Queries) {
+    if args.wants(Part::Queries) {
         report.push(queries::measure(&setup)?);
     }
-    if wanted(Part::Large) {
+    if args.wants(Part::Large) {
         report.push(large::measure(&setup)?);
     }
-    if wanted(Part::Restart) {
+    if args.wants(Part::Restart) {
         report.push(restart::measure(&setup)?);
     }
     setup.bar.finish_and_clear();

@@ -3,12 +3,13 @@
 use bytes::Bytes;
 use hyper::Method;
 
-use super::bodies::Protocol;
+use super::bodies::{Kind, Protocol};
 use super::link::Link;
-use super::load::{self, Done, Supply, on_this_thread, summary};
+use super::load::{self, Done, Summary, Supply, on_this_thread};
 use super::scene::{changes, check_and_drop, create};
 use super::server::Server;
 use super::setup::Setup;
+use super::work::settings_of_cubes;
 use crate::failure::Failure;
 use crate::figures::{median, rate};
 use crate::table::{Table, figure, text};
@@ -35,7 +36,7 @@ pub(super) fn measure(setup: &Setup<'_>) -> Result<Table, Failure> {
         ],
     );
     let server = setup.server("queries")?;
-    let bodies = setup.protobuf_bodies(FULL_SPEED_BATCH, FULL_SPEED_CLIENTS);
+    let bodies = setup.protobuf_bodies(FULL_SPEED_BATCH, FULL_SPEED_CLIENTS)?;
     for query in [
         "mass-properties",
         "contains?at=50,50,50",
@@ -51,7 +52,7 @@ pub(super) fn measure(setup: &Setup<'_>) -> Result<Table, Failure> {
                 runs.push(read);
                 written.extend(write);
             }
-            let [queries, p50, p99, max] = summary(runs);
+            let done = Summary::of(runs);
             table.push(vec![
                 text(query),
                 if writing {
@@ -59,10 +60,10 @@ pub(super) fn measure(setup: &Setup<'_>) -> Result<Table, Failure> {
                 } else {
                     text("none")
                 },
-                figure(queries),
-                figure(p50),
-                figure(p99),
-                figure(max),
+                figure(done.requests),
+                figure(done.p50),
+                figure(done.p99),
+                figure(done.max),
             ]);
         }
     }
@@ -81,7 +82,7 @@ fn ask(
     // The first change is there in any case, so that there is something to ask for.
     let (first, rest) = bodies.split_at(1);
     on_this_thread(async {
-        create(http, "bench").await?;
+        create(http, "bench", settings_of_cubes()).await?;
         let mut link = Link::open(http).await?;
         let body = first[0].clone();
         link.expect(Method::POST, &changes("bench"), Some(kind), body)
@@ -104,7 +105,7 @@ fn ask(
     let (read, write) = (read?, write.transpose()?);
     let changes = write.as_ref().map_or(0, |write| write.requests);
     let cubes = (changes + 1) * FULL_SPEED_BATCH;
-    on_this_thread(check_and_drop(http, "bench", cubes))?;
+    on_this_thread(check_and_drop(http, "bench", Kind::Cubes, cubes))?;
     let speed = write.map(|write| rate(write.requests * FULL_SPEED_BATCH, write.time));
     Ok((read, speed))
 }

@@ -6,7 +6,7 @@ use bytes::Bytes;
 use hyper::Method;
 use serde_json::Value;
 
-use super::bodies;
+use super::bodies::Kind;
 use super::link::Link;
 use crate::failure::Failure;
 
@@ -16,25 +16,30 @@ pub(super) fn changes(scene: &str) -> String {
 }
 
 /// Makes a scene.
-pub(super) async fn create(server: SocketAddr, scene: &str) -> Result<(), Failure> {
+pub(super) async fn create(
+    server: SocketAddr,
+    scene: &str,
+    settings: Bytes,
+) -> Result<(), Failure> {
     let path = format!("/v1/scenes/{scene}");
     let mut link = Link::open(server).await?;
     let kind = Some("application/json");
-    link.expect(Method::PUT, &path, kind, bodies::scene())
-        .await?;
+    link.expect(Method::PUT, &path, kind, settings).await?;
     Ok(())
 }
 
-/// Checks that a scene has as many cubes as were acknowledged, and drops it.
+/// Checks that a scene has as many bodies as were acknowledged, and drops it.
 pub(super) async fn check_and_drop(
     server: SocketAddr,
     scene: &str,
-    cubes: usize,
+    kind: Kind,
+    bodies: usize,
 ) -> Result<(), Failure> {
     let mut link = Link::open(server).await?;
-    let found = mass_properties(&mut link, scene).await?["cubes"].as_u64();
-    if found != Some(cubes as u64) {
-        return Err(format!("{cubes} cubes were acknowledged, and {found:?} are there").into());
+    let name = kind.plural();
+    let found = mass_properties(&mut link, scene).await?[name].as_u64();
+    if found != Some(bodies as u64) {
+        return Err(format!("{bodies} {name} were acknowledged, and {found:?} are there").into());
     }
     let path = format!("/v1/scenes/{scene}");
     link.expect(Method::DELETE, &path, None, Bytes::new())

@@ -23,7 +23,7 @@ pub(super) fn beside_this() -> Result<PathBuf, Failure> {
         return Ok(program);
     }
     Err(format!(
-        "{} is not there: build both with `cargo build --release --workspace`, or name one with --program",
+        "{} is not there: build both with `cargo build --release --workspace`, or name one with --server",
         program.display()
     )
     .into())

@@ -1,4 +1,4 @@
-//! What all parts of the benchmark share: how long, how often, where, and with which cubes.
+//! What all parts of the benchmark share: how long, how often, where, and with which bodies.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -7,11 +7,11 @@ use bytes::Bytes;
 use indicatif::ProgressBar;
 
 use super::args::Args;
-use super::bodies::{self, Cube, Protocol, Side};
+use super::bodies::{Body, Kind, Protocol};
 use super::load::on_this_thread;
 use super::server::Server;
+use super::work::{Work, random_cubes, settings_of_cubes};
 use crate::failure::Failure;
-use crate::random::Random;
 
 /// One call of the benchmark.
 pub(super) struct Setup<'run> {
@@ -20,6 +20,8 @@ pub(super) struct Setup<'run> {
     pub(super) program: PathBuf,
     /// Where the servers keep their data.
     pub(super) data: &'run Path,
+    /// What is sent.
+    pub(super) work: Work,
     /// How long a measurement takes.
     pub(super) time: Duration,
     pub(super) bar: ProgressBar,
@@ -37,30 +39,48 @@ impl Setup<'_> {
         (1..=runs).inspect(move |run| bar.set_message(format!("{what}, run {run} of {runs}")))
     }
 
-    /// Cubes with the ids from 1 on, by changes: enough for one measurement.
+    pub(super) fn kind(&self) -> Kind {
+        self.args.kind
+    }
+
+    /// Bodies with the ids from 1 on, by changes: enough for one measurement; and the settings of their scene.
     pub(super) fn changes(
         &self,
         protocol: Protocol,
         batch: usize,
         clients: usize,
-    ) -> impl Iterator<Item = Vec<Cube>> {
-        let whole_seconds = usize::try_from(self.time.as_secs()).unwrap_or(usize::MAX) + 1;
-        let cubes = protocol
-            .cubes_a_second_max(batch)
-            .saturating_mul(whole_seconds);
+    ) -> Result<(Bytes, Changes), Failure> {
+        let seconds = usize::try_from(self.time.as_secs()).unwrap_or(usize::MAX);
+        let bodies = protocol
+            .bodies_a_second_max(self.kind(), batch)
+            .saturating_mul(seconds.saturating_add(1));
         // Each client at least one, or it would have nothing to do.
-        let count = (cubes / batch).max(clients);
-        let mut random = Random::new(self.args.seed);
-        (0..count).map(move |number| {
-            let first = number as u64 * batch as u64 + 1;
-            bodies::cubes(first, batch, Side::OF_A_MILLION, &mut random)
+        let count = (bodies / batch).max(clients);
+        Ok(match self.work.path(count.saturating_mul(batch))? {
+            None => {
+                let changes = random_cubes(batch, self.args.seed).take(count);
+                (settings_of_cubes(), Box::new(changes))
+            }
+            Some(path) => {
+                let bodies = path.bodies();
+                let changes: Vec<_> = bodies.chunks(batch).map(<[Body]>::to_vec).collect();
+                (path.settings(), Box::new(changes.into_iter()))
+            }
         })
     }
 
-    /// The same as bodies to be posted.
-    pub(super) fn protobuf_bodies(&self, batch: usize, clients: usize) -> Vec<Bytes> {
-        self.changes(Protocol::Protobuf, batch, clients)
+    /// Changes of cubes as bodies to be posted.
+    pub(super) fn protobuf_bodies(
+        &self,
+        batch: usize,
+        clients: usize,
+    ) -> Result<Vec<Bytes>, Failure> {
+        let (_, changes) = self.changes(Protocol::Protobuf, batch, clients)?;
+        Ok(changes
             .map(|cubes| Protocol::Protobuf.insert(&cubes))
-            .collect()
+            .collect())
     }
 }
+
+/// The bodies that changes insert.
+pub(super) type Changes = Box<dyn Iterator<Item = Vec<Body>>>;
