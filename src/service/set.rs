@@ -294,8 +294,9 @@ mod tests {
     use std::sync::atomic::Ordering;
 
     use super::*;
-    use crate::engine::Engine;
-    use crate::engine::Op;
+    use crate::engine::solids::{self, Stock};
+    use crate::engine::{Engine, Op};
+    use crate::geometry::convex::Solid;
     use crate::geometry::{CUBES_MAX, Edge, Totals};
     use crate::random::Random;
 
@@ -472,6 +473,74 @@ mod tests {
                 set.advance(&Published { totals, ..empty }, || {});
                 durable = later;
                 assert_eq!(totals.cubes, durable.len() as u64);
+            }
+        }
+    }
+
+    /// A box or a tetrahedron on a small lattice, so that many touch.
+    fn solid(random: &mut Random) -> Body {
+        loop {
+            let mut at = || Point::new([(); 3].map(|()| random.within(0, 6))).unwrap();
+            let corners = [at(), at(), at(), at()];
+            let body = match random.below(2) {
+                0 => Body::cuboid(corners[0], corners[1]),
+                _ => Solid::hull(&corners).map(Body::solid),
+            };
+            if let Ok(body) = body {
+                return body;
+            }
+        }
+    }
+
+    /// Solids come and go, one or two changes of them on their way at a time; an engine that has the durable ones alone says the same.
+    #[test]
+    fn where_a_point_lies_among_solids_is_as_of_the_durable_state() {
+        for seed in 0..6 {
+            let mut random = Random::new(seed);
+            let stock = (seed % 2 == 0).then(|| Stock::new(solid(&mut random).part(0)).unwrap());
+            let engine = || solids::Engine::new().with_stock(stock.clone());
+            let nothing = Published {
+                seq: Seq(0),
+                at_ms: 0,
+                totals: Solids::totals(&engine()),
+            };
+            let set = BodySet::<Solids>::new(engine(), &nothing);
+            let mut durable: BTreeMap<CubeId, Body> = BTreeMap::new();
+            for _ in 0..20 {
+                let mut alone = engine();
+                let inserted = durable.iter().map(|(id, body)| (*id, body.clone()));
+                let all = Effect {
+                    deleted: vec![],
+                    inserted: inserted.collect(),
+                };
+                alone.apply(&all).unwrap();
+                let mut later = durable.clone();
+                for _ in 0..=random.below(2) {
+                    let mut effect = Effect::default();
+                    for id in (0..10).map(CubeId) {
+                        if random.below(2) == 0 {
+                            continue;
+                        }
+                        effect
+                            .deleted
+                            .extend(later.remove(&id).map(|body| (id, body)));
+                        if random.below(2) == 0 {
+                            let body = solid(&mut random);
+                            later.insert(id, body.clone());
+                            effect.inserted.push((id, body));
+                        }
+                    }
+                    set.apply(&effect);
+                    let view = set.view().unwrap();
+                    for _ in 0..50 {
+                        let at = Point::new([(); 3].map(|()| random.within(-1, 7))).unwrap();
+                        let (side, holder) = alone.contains(at);
+                        let holder = holder.map(|id| (id, durable[&id].clone()));
+                        assert_eq!(view.contains(at), (side, holder), "at {at:?}");
+                    }
+                }
+                set.advance(&nothing, || {});
+                durable = later;
             }
         }
     }
