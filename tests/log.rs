@@ -1013,6 +1013,31 @@ fn a_write_ahead_file_cut_anywhere_holds_the_whole_changes_before_the_cut() {
     }
 }
 
+/// What is lost need not be a change.
+#[test]
+fn a_snapshot_that_is_lost_takes_no_change_with_it_and_that_is_said() {
+    let data = directory();
+    let mut random = Random::new(6);
+    let (mut log, path) = create(&data, KEEP);
+    let mut model = Model::new();
+    log.append(&[model.random_record(&mut random, 6)], &[])
+        .unwrap();
+    let file = "scene.sqlite-wal";
+    let end = usize::try_from(fs::metadata(path.join(file)).unwrap().len()).unwrap();
+    write_snapshot(&mut log, &model, &mut random);
+    let scene = Crashed::of("a snapshot", &path, &model);
+    drop(log);
+    let data = directory();
+    let path = scene.changed(&data, file, Some(&scene.files[file][..end]));
+    let (_, cubes, notices) = reopen(&path, KEEP).unwrap();
+    assert_eq!(&cubes, model.cubes());
+    assert_eq!(notices.len(), 1, "{notices:?}");
+    assert!(
+        notices[0].contains("is lost, but no change with it"),
+        "{notices:?}"
+    );
+}
+
 /// Blocks that never reached the disk, or were lost on it.
 #[test]
 fn zeroed_blocks_never_give_a_wrong_state() {

@@ -12,8 +12,8 @@ use union3d::engine::{Engine, Op, Rejected};
 use union3d::geometry::{CUBES_MAX, CubeId, Edge, Place};
 use union3d::log::{Header, Keep, Record, SceneLog};
 use union3d::service::{
-    Chain, Counting, FailPoint, Motion, Operations, Scene, SceneName, SceneState, Seq, Service,
-    ServiceConfig, ServiceError, Submission,
+    Chain, Counting, FailPoint, Motion, Operations, Readiness, Scene, SceneName, SceneState, Seq,
+    Service, ServiceConfig, ServiceError, Submission,
 };
 
 #[path = "oracle/stop.rs"]
@@ -257,5 +257,48 @@ async fn replays_at_a_time_are_bounded() {
     drop(closed);
     for name in first {
         running(&service, &name);
+    }
+}
+
+/// The progress of a start counts each scene by the bytes that are to be read of it.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn progress_at_start_weighs_scenes_by_their_bytes() {
+    let directory = tempfile::tempdir().unwrap();
+    let service = Service::start(config(directory.path())).unwrap();
+    for (name, cubes) in [("small", 1), ("large", 50_000)] {
+        let scene = create(&service, name).await;
+        // Far apart, in no order: they take bytes, but hardly time.
+        let place = |id: u64| {
+            let corner =
+                [3, 5, 7].map(|factor| i64::try_from(id.pow(3) * factor * 7919 % 1_000_003 * 1000));
+            Place::new(corner.map(Result::unwrap), edge()).unwrap()
+        };
+        let ops = (0..cubes).map(|id| Op::Insert(CubeId(id), place(id)));
+        scene.change(submission(ops.collect())).await.unwrap();
+    }
+    service.shutdown().await;
+    drop(service);
+    for (held, read, percents) in [("large", "small", 1..40), ("small", "large", 60..99)] {
+        let stop = Arc::new(Stop::default());
+        let at_stop = stop.clone();
+        let thread = format!("scene {held}");
+        let hook = move |point| {
+            if point == FailPoint::Open && std::thread::current().name() == Some(&thread) {
+                at_stop.pass();
+            }
+            None
+        };
+        let closed = stop.close();
+        let service =
+            Service::start_with_failpoints(config(directory.path()), Arc::new(hook)).unwrap();
+        running(&service, read);
+        let readiness = service.readiness();
+        drop(closed);
+        assert!(
+            matches!(readiness, Readiness::Recovering { percent } if percents.contains(&percent)),
+            "while {held} is held: {readiness:?}"
+        );
+        running(&service, held);
+        service.shutdown().await;
     }
 }
