@@ -381,23 +381,7 @@ fn the_way_to_a_state_leads_over_what_tells_it_apart() {
             }
             for _ in 0..3 {
                 let to = random.below(seq + 1);
-                let mut cubes = model.cubes().clone();
-                let mut steps = 0;
-                log.way_to(Seq(to as u64), &mut |step| {
-                    steps += 1;
-                    match step {
-                        Step::Redo(effect) => apply(&mut cubes, effect),
-                        Step::Undo(Effect { deleted, inserted }) => apply(
-                            &mut cubes,
-                            &Effect {
-                                deleted: inserted.clone(),
-                                inserted: deleted.clone(),
-                            },
-                        ),
-                    }
-                })
-                .unwrap();
-                assert_eq!(cubes, model.states[to], "from {seq} to {to}");
+                let steps = check_way(&log, &model, to);
                 let ancestors = |of: usize| {
                     let first = origin[of];
                     std::iter::successors(Some(first), |at| (*at > 0).then(|| before[*at]))
@@ -407,6 +391,100 @@ fn the_way_to_a_state_leads_over_what_tells_it_apart() {
                 assert_eq!(steps, apart, "from {seq} to {to}");
             }
         }
+    }
+}
+
+/// Goes the way from the newest state to that at `to`, and says in how many steps.
+#[track_caller]
+fn check_way(log: &SceneLog, model: &Model, to: usize) -> usize {
+    let mut cubes = model.cubes().clone();
+    let mut steps = 0;
+    log.way_to(Seq(to as u64), &mut |step| {
+        steps += 1;
+        match step {
+            Step::Redo(effect) => apply(&mut cubes, effect),
+            Step::Undo(Effect { deleted, inserted }) => apply(
+                &mut cubes,
+                &Effect {
+                    deleted: inserted.clone(),
+                    inserted: deleted.clone(),
+                },
+            ),
+        }
+    })
+    .unwrap();
+    assert_eq!(cubes, model.states[to], "from {:?} to {to}", log.seq());
+    steps
+}
+
+/// What a revert went back to may have been dropped since, and all that led there: the way does not lead over it.
+#[test]
+fn the_way_to_a_state_does_not_lead_over_what_was_dropped() {
+    let data = directory();
+    let mut random = Random::new(7);
+    let keep = Keep {
+        revert_changes_max: 3,
+        revert_bytes_max: u64::MAX,
+        ..KEEP
+    };
+    let (mut log, _) = create(&data, keep);
+    let mut model = Model::new();
+    for seq in 1..=6 {
+        let record = if seq == 4 {
+            let effect = difference(model.cubes(), &model.states[1]);
+            Record {
+                reverts_to: Some(Seq(1)),
+                ..model.record(effect)
+            }
+        } else {
+            model.random_record(&mut random, 8)
+        };
+        log.append(&[record], &[]).unwrap();
+    }
+    write_snapshot(&mut log, &model, &mut random);
+    trim_all(&mut log);
+    assert_eq!(log.oldest_reachable(), Seq(3));
+    for to in 3..=6 {
+        assert_eq!(check_way(&log, &model, to), 6 - to);
+    }
+}
+
+/// As many of the newest operations are kept as fit into so many bytes.
+#[test]
+fn operations_are_kept_up_to_the_limit_of_their_bytes() {
+    let sizes = |path: &Path| {
+        let connection = rusqlite::Connection::open(path.join("scene.sqlite")).unwrap();
+        let mut statement = connection
+            .prepare("SELECT length(cubes) FROM operations ORDER BY seq")
+            .unwrap();
+        let sizes = statement.query_map([], |row| row.get::<_, i64>(0)).unwrap();
+        sizes
+            .map(|size| size.unwrap().cast_unsigned())
+            .collect::<Vec<_>>()
+    };
+    // The last three fit exactly; of a byte less only two do.
+    for (less, oldest) in [(0, 3), (1, 4)] {
+        let data = directory();
+        let mut random = Random::new(8);
+        let (mut log, path) = create(&data, KEEP);
+        let mut model = Model::new();
+        for _ in 1..=6 {
+            log.append(&[model.random_record(&mut random, 8)], &[])
+                .unwrap();
+        }
+        drop(log);
+        let newest: u64 = sizes(&path)[3..].iter().sum();
+        let keep = Keep {
+            revert_changes_max: u64::MAX,
+            revert_bytes_max: newest - less,
+            ..KEEP
+        };
+        let (mut log, ..) = reopen(&path, keep).unwrap();
+        write_snapshot(&mut log, &model, &mut random);
+        trim_all(&mut log);
+        assert_eq!(log.oldest_reachable(), Seq(oldest));
+        drop(log);
+        check(&path, keep, &model);
     }
 }
 
