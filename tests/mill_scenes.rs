@@ -377,6 +377,14 @@ fn replacing_sends_what_differs() {
     }
     assert_eq!(solids(&server, "part"), before);
 
+    // To the other side and back in between: nothing goes, and what comes gets ids of its lines that are free.
+    let back = rows(None).replacen("G1 X5 Y7\n", "G1 X5 Y7\nG1 X55 Y7\nG1 X5 Y7\n", 1);
+    let replaced = mill(&replacing("part"), &back);
+    assert_eq!(counts(&replaced), [Some(0), Some(2), Some(32), Some(11)]);
+    let after = solids(&server, "part");
+    let new = after.keys().filter(|id| !before.contains_key(id));
+    assert!(new.copied().eq([11 << 20 | 1, 12 << 20 | 1]), "{after:?}");
+
     let csv = [&replacing("part")[..], &["--csv", "x.csv"]].concat();
     let refused = run(&csv, "");
     assert_eq!(refused.status.code(), Some(2));

@@ -381,3 +381,38 @@ async fn a_stock_that_is_no_box_needs_a_newer_program() {
         assert!(refused.to_string().contains("of format 6"), "{refused}");
     }
 }
+
+/// Each byte of the stock in a scene's files is under a checksum.
+#[tokio::test]
+async fn a_damaged_stock_is_refused() {
+    let directory = tempfile::tempdir().unwrap();
+    let service = Service::start(config(directory.path())).unwrap();
+    let [_, _, wedge] = stocks();
+    drop(create(&service, wedge).await);
+    service.shutdown().await;
+    let data = directory.path().join("data");
+    let file = data.join("scenes/part/scene.sqlite");
+    let good = fs::read(&file).unwrap();
+    // The six vertices of the wedge, all of whose coordinates are between 0 and 6.
+    let is_vertex = |at: &[u8]| {
+        let mut coordinates = at.chunks(4);
+        coordinates.all(|bytes| bytes[0] <= 6 && bytes[1..] == [0; 3])
+    };
+    let is_stock = |at: &[u8]| at[0] == 6 && at[1..].chunks(12).all(is_vertex);
+    let found = good
+        .windows(1 + 6 * 12)
+        .position(|at| is_stock(at) && at.iter().any(|byte| *byte == 5));
+    let found = found.expect("the stock is in the file");
+    let mut random = Random::new(1);
+    for at in found..found + 1 + 6 * 12 {
+        let mut bad = good.clone();
+        bad[at] ^= 1 << random.below(8);
+        fs::write(&file, &bad).unwrap();
+        let offline = Offline::open(&data).unwrap();
+        let refused = offline.audit(&name(), &mut |_| ()).unwrap_err();
+        assert!(
+            matches!(refused, LogError::Damaged { .. }),
+            "byte {at}: {refused}"
+        );
+    }
+}

@@ -97,7 +97,7 @@ pub(super) struct Body {
     /// The height of the flutes above the tip; none where they are as long as need be. Units: steps.
     pub(super) height: Option<i64>,
     /// Its shank above the flutes, and its holder.
-    pub(super) blunt: Option<Swept>,
+    pub(super) blunt: Option<Arc<Swept>>,
     /// How far its polygons are from circles.
     pub(super) deviation: Deviation,
 }
@@ -159,7 +159,7 @@ impl Body {
             raised: raised.map(Arc::new),
             flutes: flutes.map(Arc::new),
             height,
-            blunt: blunt(tool, shape, fineness, &mut deviation)?,
+            blunt: blunt(tool, shape, fineness, &mut deviation)?.map(Arc::new),
             deviation,
         })
     }

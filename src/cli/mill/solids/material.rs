@@ -131,10 +131,10 @@ impl Material {
     }
 
     /// How much of the material is in a body. Units: [`VOLUME_UNITS`].
-    pub(super) fn inside(&self, body: &Body) -> i128 {
+    pub(super) fn inside(&self, body: Body) -> i128 {
         let effect = Effect {
             deleted: vec![],
-            inserted: vec![(NO_SOLID, body.clone())],
+            inserted: vec![(NO_SOLID, body)],
         };
         let (totals, _) = self.0.dry_run(&effect).expect("the id is new");
         totals.measures.volume6 - self.state().removed

@@ -11,12 +11,13 @@
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 
 use union3d::engine::solids::SolidId;
+use union3d::geometry::convex::Point;
 use union3d::wire::proto::{Change, ListSolidsRequest};
 
 use super::super::grpc::{self, GrpcStream};
 use super::Failure;
 use super::scene::{Defined, Wanted};
-use super::shop::{self, Cut, Stroke, line_of};
+use super::shop::{self, Carried, Cut, Stroke, line_of};
 use super::target::{CHANGE_SOLIDS_MAX, Measured, inserted};
 
 /// A shape by its name, and where it is carried from and to: what a solid is.
@@ -60,7 +61,7 @@ pub(super) async fn replace(
     let mut defined = Defined::default();
     for (_, cut) in &difference.inserted {
         defined
-            .define_grpc(&mut client, server, &wanted.name, &cut.swept)
+            .define_grpc(&mut client, server, &wanted.name, &cut.carried.swept)
             .await?;
     }
     let mut stream = GrpcStream::open(server, client, &wanted.name).await?;
@@ -157,9 +158,9 @@ impl<'cuts> Difference<'cuts> {
         let mut stale: Option<u64> = None;
         let mut is_stale = |line: u64| stale = Some(stale.map_or(line, |least| least.min(line)));
         for cut in cuts {
-            let (_, from, to) = cut.body.sweep().expect("flutes are carried");
-            let ([x, y, z], [to_x, to_y, to_z]) = (from.coordinates(), to.coordinates());
-            let content = (cut.swept.name.clone(), [x, y, z, to_x, to_y, to_z]);
+            let Carried { swept, ends } = &cut.carried;
+            let [[x, y, z], [to_x, to_y, to_z]] = ends.map(Point::coordinates);
+            let content = (swept.name.clone(), [x, y, z, to_x, to_y, to_z]);
             let line = line_of(cut.id);
             match unmatched.get_mut(&content).and_then(VecDeque::pop_front) {
                 Some(id) => {

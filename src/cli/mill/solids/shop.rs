@@ -36,16 +36,33 @@ pub(super) struct Stroke {
 pub(super) struct Pass {
     /// What cuts.
     pub(super) flutes: Option<Cut>,
-    /// What its shank and holder sweep.
-    pub(super) blunt: Option<solids::Body>,
+    /// Its shank and holder.
+    pub(super) blunt: Option<Carried>,
 }
 
-/// What flutes sweep.
+/// A shape and the segment that it is carried along. What it sweeps is made where an engine needs it: a server makes its own.
+#[derive(Clone)]
+pub(super) struct Carried {
+    pub(super) swept: Arc<Swept>,
+    pub(super) ends: [Point; 2],
+}
+
+/// Flutes that are carried along a segment.
 #[derive(Clone)]
 pub(super) struct Cut {
     pub(super) id: SolidId,
-    pub(super) swept: Arc<Swept>,
-    pub(super) body: solids::Body,
+    pub(super) carried: Carried,
+}
+
+impl Carried {
+    /// What it sweeps.
+    /// # Errors
+    /// A sentence says why it cannot be there; `line` is that of the program.
+    pub(super) fn body(&self, line: u64) -> Result<solids::Body, String> {
+        let [from, to] = self.ends;
+        solids::Body::swept(&self.swept.shape, from, to)
+            .map_err(|invalid| format!("line {line}: {invalid}"))
+    }
 }
 
 impl Stroke {
@@ -248,18 +265,19 @@ impl<'run> Shop<'run> {
                 let number = self.put_down.entry(line).or_default();
                 let id = id(line, *number)?;
                 *number += 1;
-                Some(Cut {
-                    id,
+                let carried = Carried {
                     swept: Arc::clone(swept),
-                    body: carried(swept, ends)?,
-                })
+                    ends,
+                };
+                Some(Cut { id, carried })
             }
             _ => None,
         };
         let blunt = match &body.blunt {
-            Some(blunt) if self.top.is_some() && self.blank.is_near(blunt, ends) => {
-                Some(carried(blunt, ends)?)
-            }
+            Some(blunt) if self.top.is_some() && self.blank.is_near(blunt, ends) => Some(Carried {
+                swept: Arc::clone(blunt),
+                ends,
+            }),
             _ => None,
         };
         let is_near = flutes.is_some() || blunt.is_some();
@@ -323,10 +341,6 @@ fn numbered(number: u32) -> String {
         0 => String::new(),
         _ => format!("T{number}="),
     }
-}
-
-fn carried(swept: &Swept, [from, to]: [Point; 2]) -> Result<solids::Body, String> {
-    solids::Body::swept(&swept.shape, from, to).map_err(|invalid| invalid.to_string())
 }
 
 /// The part of a segment that is not above a height; none when nothing of it is below. Where it crosses the height it is rounded to the lattice, the

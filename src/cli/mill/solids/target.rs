@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use serde_json::Value;
 use union3d::engine::solids::{self, SolidId};
+use union3d::geometry::convex::Point;
 use union3d::wire::proto::Change;
 use union3d::wire::solids::{Scale, SolidMeasures, SolidProperties, solid_properties};
 use uuid::Uuid;
@@ -15,7 +16,7 @@ use super::super::tally::{self, Kind, ToolCut};
 use super::Failure;
 use super::material::{Blank, Material};
 use super::scene::{Defined, Wanted, decimal};
-use super::shop::{Cut, Stroke};
+use super::shop::{Carried, Cut, Stroke, line_of};
 
 /// Most solids of a change: a message of some megabytes.
 pub(super) const CHANGE_SOLIDS_MAX: usize = 65_536;
@@ -140,7 +141,7 @@ impl Target {
                     return Ok(vec![]);
                 }
                 *passes = 0;
-                Ok(cut_together(material, &std::mem::take(waiting)))
+                Ok(cut_together(material, &std::mem::take(waiting))?)
             }
             Self::Http {
                 client,
@@ -150,11 +151,11 @@ impl Target {
                 watch,
             } => {
                 for cut in stroke.cuts() {
-                    defined.define_http(client, &cut.swept).await?;
+                    defined.define_http(client, &cut.carried.swept).await?;
                 }
                 *changes += 1;
                 let key = format!("{}-{changes}", run.simple());
-                let told = Told::of(&stroke, watch.hit(&stroke));
+                let told = Told::of(&stroke, watch.hit(&stroke)?);
                 let answer = client.change(&change(&stroke)?, Some(&key)).await?;
                 let (seq, removed, after) = read(&answer).ok_or(
                     "cannot make sense of the server's answer (is it of the same version?)",
@@ -171,10 +172,10 @@ impl Target {
                 for cut in stroke.cuts() {
                     let client = stream.client();
                     defined
-                        .define_grpc(client, server, scene, &cut.swept)
+                        .define_grpc(client, server, scene, &cut.carried.swept)
                         .await?;
                 }
-                let told = Told::of(&stroke, watch.hit(&stroke));
+                let told = Told::of(&stroke, watch.hit(&stroke)?);
                 let done = stream.send(told, change(&stroke)?).await?;
                 Ok(done.into_iter().map(|done| watch.done(done)).collect())
             }
@@ -189,7 +190,7 @@ impl Target {
                 waiting,
                 ..
             } => {
-                let cuts = cut_together(&mut material, &waiting);
+                let cuts = cut_together(&mut material, &waiting)?;
                 let (totals, error_max) = material.totals();
                 let of = |totals: &solids::Totals| {
                     solid_properties(None, None, (totals, &error_max), scale, 1.0)
@@ -267,13 +268,13 @@ impl Watch {
     }
 
     /// What the shank and the holder of a stroke go through.
-    fn hit(&mut self, stroke: &Stroke) -> i128 {
+    fn hit(&mut self, stroke: &Stroke) -> Result<i128, String> {
         let mut hit = 0;
         for pass in &stroke.passes {
             if let Some(cut) = &pass.flutes {
                 match &mut self.material {
                     Some(material) => {
-                        material.remove(vec![(cut.id, cut.body.clone())]);
+                        material.remove(vec![(cut.id, cut.carried.body(stroke.line)?)]);
                     }
                     None => self.so_far.push(cut.clone()),
                 }
@@ -282,11 +283,12 @@ impl Watch {
                 let blank = &self.blank;
                 let material = self.material.get_or_insert_with(|| Material::new(blank));
                 let so_far = self.so_far.drain(..);
-                material.remove(so_far.map(|cut| (cut.id, cut.body)).collect());
-                hit += material.inside(blunt);
+                let so_far = so_far.map(|cut| Ok((cut.id, cut.carried.body(line_of(cut.id))?)));
+                material.remove(so_far.collect::<Result<_, String>>()?);
+                hit += material.inside(blunt.body(stroke.line)?);
             }
         }
-        hit
+        Ok(hit)
     }
 
     /// Notes that a change of the program is done; false when somebody else has changed the scene since the program began.
@@ -308,7 +310,7 @@ impl Watch {
 }
 
 /// Cuts strokes in this process, in their order; what shanks and holders go through is asked in between.
-fn cut_together(material: &mut Material, strokes: &[Stroke]) -> Vec<tally::Cut> {
+fn cut_together(material: &mut Material, strokes: &[Stroke]) -> Result<Vec<tally::Cut>, String> {
     let mut after = material.state();
     let mut done = vec![(State::default(), 0); strokes.len()];
     let mut bodies: Vec<(usize, (SolidId, solids::Body))> = Vec::new();
@@ -320,12 +322,12 @@ fn cut_together(material: &mut Material, strokes: &[Stroke]) -> Vec<tally::Cut> 
     };
     for (index, stroke) in strokes.iter().enumerate() {
         for pass in &stroke.passes {
-            if let Some(Cut { id, body, .. }) = &pass.flutes {
-                bodies.push((index, (*id, body.clone())));
+            if let Some(Cut { id, carried }) = &pass.flutes {
+                bodies.push((index, (*id, carried.body(stroke.line)?)));
             }
             if let Some(blunt) = &pass.blunt {
                 cut(material, &mut bodies, &mut done);
-                done[index].1 += material.inside(blunt);
+                done[index].1 += material.inside(blunt.body(stroke.line)?);
             }
         }
     }
@@ -334,7 +336,7 @@ fn cut_together(material: &mut Material, strokes: &[Stroke]) -> Vec<tally::Cut> 
         after.add(more);
         Told::of(stroke, hit).cut(more.removed, after, true)
     });
-    cuts.collect()
+    Ok(cuts.collect())
 }
 
 impl Told {
@@ -390,8 +392,8 @@ fn change(stroke: &Stroke) -> Result<Change, Failure> {
 pub(super) fn inserted<'a>(cuts: impl Iterator<Item = (SolidId, &'a Cut)>) -> Change {
     let mut change = Change::default();
     for (id, cut) in cuts {
-        let (_, from, to) = cut.body.sweep().expect("flutes are carried");
-        let name = &cut.swept.name;
+        let Carried { swept, ends } = &cut.carried;
+        let name = &swept.name;
         let known = change.shapes.iter().position(|known| known == name);
         let shape = known.unwrap_or_else(|| {
             change.shapes.push(name.clone());
@@ -400,7 +402,7 @@ pub(super) fn inserted<'a>(cuts: impl Iterator<Item = (SolidId, &'a Cut)>) -> Ch
         let shape = u32::try_from(shape).expect("a program has few tools");
         change.shape.push(shape);
         change.insert_id.push(id.0);
-        let ([x, y, z], [to_x, to_y, to_z]) = (from.coordinates(), to.coordinates());
+        let [[x, y, z], [to_x, to_y, to_z]] = ends.map(Point::coordinates);
         change.x.push(x);
         change.y.push(y);
         change.z.push(z);
