@@ -593,6 +593,36 @@ fn history_keeps_the_newest_and_what_replay_needs() {
     check(&path, keep, &model);
 }
 
+/// Keys alone are worth a trim, once many of them are past the limit.
+#[test]
+fn old_keys_alone_are_dropped() {
+    let data = directory();
+    let keep = Keep {
+        idempotency_keys_max: 10,
+        ..KEEP
+    };
+    let (mut log, path) = create(&data, keep);
+    let mut random = Random::new(2);
+    let mut model = Model::new();
+    let record = model.random_record(&mut random, 3);
+    let keys: Vec<_> = (0..2000).map(|_| model.key(&mut random)).collect();
+    let (few, more) = keys.split_at(20);
+    log.append(&[record], few).unwrap();
+    assert!(!log.wants_trim(), "ten keys are not worth it");
+    log.append(&[], more).unwrap();
+    assert!(log.wants_trim());
+    trim_all(&mut log);
+    let kept = |log: &SceneLog| {
+        keys.iter()
+            .filter(|record| log.key(&record.key).unwrap().is_some())
+            .count()
+    };
+    assert_eq!(kept(&log), 10);
+    drop(log);
+    let log = check(&path, keep, &model);
+    assert_eq!(kept(&log), 10);
+}
+
 /// Few of many rows by the index, and most of them without it.
 #[test]
 fn rows_are_found_by_the_numbers_of_their_moves() {
@@ -1186,7 +1216,13 @@ fn verification_finds_what_replay_does_not_read() {
     log.append(&records, &keys).unwrap();
     write_snapshot(&mut log, &model, &mut random);
     // Settings, head, snapshot, key, chunk, and two rows a change.
-    assert_eq!(log.verify(&mut |_| {}).unwrap(), 5 + 2 * 9);
+    let mut told = vec![];
+    let verified = log.verify(&mut |thousandths| told.push(thousandths));
+    assert_eq!(verified.unwrap(), 5 + 2 * 9);
+    // Evenly, over the rows and the chunk; all of it only at the end.
+    let mut even: Vec<u32> = (0..19).map(|row| row * 1000 / 19).collect();
+    even.extend([999, 1000]);
+    assert_eq!(told, even);
     drop(log);
     let connection = rusqlite::Connection::open(path.join("scene.sqlite")).unwrap();
     connection
