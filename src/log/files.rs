@@ -386,3 +386,20 @@ fn is_short_read(error: &rusqlite::Error) -> bool {
         .sqlite_error()
         .is_some_and(|error| error.extended_code == rusqlite::ffi::SQLITE_IOERR_SHORT_READ)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A scene on a full disk heals by itself when there is room again, and says so.
+    #[test]
+    fn a_full_disk_is_told_from_one_that_fails() {
+        let site = Site::new(Path::new("scene"));
+        for full in [io::ErrorKind::StorageFull, io::ErrorKind::QuotaExceeded] {
+            let error = site.io(&full.into());
+            assert!(matches!(error, LogError::Full { .. }), "{error:?}");
+        }
+        let error = site.io(&io::ErrorKind::PermissionDenied.into());
+        assert!(matches!(error, LogError::Failed { .. }), "{error:?}");
+    }
+}
