@@ -174,9 +174,7 @@ def solids(arguments):
         incremental = name != "dome"
         theirs = Manifold(made, arguments.runs, incremental)
         off = [f"{part:.1e}" for part in differences(theirs, ours)]
-        if name == "dome":
-            # Nothing touches there: what two programs make of it is the same.
-            check(f"{count} capsules", theirs, ours)
+        check(f"{count} {name}", theirs, ours)
         title = f"{int(count):,} {name}"
         row(title, "all in one batch", *compared(theirs.batch, ours["batch_seconds"]), *off)
         row(title, "one more insert", *compared(theirs.more, ours["insert_seconds"]), "", "")
