@@ -24,8 +24,8 @@ pub(super) enum Work {
     Cubes,
     /// A square, as large as it takes.
     Raster(Tool),
-    /// A program, whose tool reaches out of its block.
-    Program(Tool, Vec<Sweep>),
+    /// A program, milled from a block with a tool of this diameter in mm.
+    Program(f64, Vec<Sweep>),
 }
 
 /// Bodies in the order in which they come, with ids from 1 on, and the scene that they come to.
@@ -38,16 +38,7 @@ pub(super) struct ToolPath {
 impl Work {
     pub(super) fn new(args: &Args) -> Result<Self, Failure> {
         match (&args.program, args.kind) {
-            (Some(path), _) => {
-                let sweeps = program(path)?;
-                let depth = block(&sweeps, args.diameter)?.min[2];
-                let tool = Tool {
-                    diameter: args.diameter,
-                    length: f64::from(-depth) / f64::from(STEPS_PER_MM) + ABOVE,
-                    ..Tool::FLAT
-                };
-                Ok(Self::Program(tool, sweeps))
-            }
+            (Some(path), _) => Ok(Self::Program(args.diameter, program(path)?)),
             (None, Kind::Solids) => Ok(Self::Raster(Tool::BALL)),
             (None, Kind::Cubes) => Ok(Self::Cubes),
         }
@@ -62,34 +53,42 @@ impl Work {
                 stock: None,
                 sweeps: raster(solids_max, tool.diameter, RASTER_MOVE)?,
             })),
-            Self::Program(tool, sweeps) => ToolPath::of_program(*tool, sweeps.clone()).map(Some),
+            Self::Program(diameter, sweeps) => {
+                ToolPath::of_program(*diameter, sweeps.clone()).map(Some)
+            }
         }
     }
 
-    /// So many solids: a program is repeated beside itself until there are as many.
+    /// So many solids: a program is repeated below itself until there are as many.
     pub(super) fn long_path(&self, solids: usize) -> Result<Option<ToolPath>, Failure> {
-        let Self::Program(tool, sweeps) = self else {
+        let Self::Program(diameter, sweeps) = self else {
             return self.path(solids);
         };
-        let Bounds { min, max } = block(sweeps, tool.diameter)?;
-        let width = i64::from(max[0]) - i64::from(min[0]);
+        let depth = i64::from(block(sweeps, *diameter)?.min[2]);
         let copies = (0..).flat_map(|copy| {
-            let by = [copy * width, 0, 0];
+            let by = [0, 0, copy * depth];
             sweeps
                 .iter()
                 .map(move |sweep| sweep.map(|end| end.displaced(by)))
         });
-        let beside = |[from, to]: [Result<Point, _>; 2]| Ok([from?, to?]);
-        let sweeps: Result<_, Failure> = copies.take(solids).map(beside).collect();
-        ToolPath::of_program(*tool, sweeps?).map(Some)
+        let below = |[from, to]: [Result<Point, _>; 2]| Ok([from?, to?]);
+        let sweeps: Result<_, Failure> = copies.take(solids).map(below).collect();
+        ToolPath::of_program(*diameter, sweeps?).map(Some)
     }
 }
 
 impl ToolPath {
-    fn of_program(tool: Tool, sweeps: Vec<Sweep>) -> Result<Self, Failure> {
+    /// A program with its block and a tool that reaches out of it.
+    fn of_program(diameter: f64, sweeps: Vec<Sweep>) -> Result<Self, Failure> {
+        let stock = block(&sweeps, diameter)?;
+        let depth = f64::from(-stock.min[2]) / f64::from(STEPS_PER_MM);
         Ok(Self {
-            stock: Some(block(&sweeps, tool.diameter)?),
-            tool,
+            tool: Tool {
+                diameter,
+                length: depth + ABOVE,
+                ..Tool::FLAT
+            },
+            stock: Some(stock),
             sweeps,
         })
     }
