@@ -132,6 +132,8 @@ fn nothing_acknowledged_is_lost_when_calls_fail_and_then_the_power() {
 
 #[test]
 fn no_solid_that_was_acknowledged_is_lost_when_calls_fail_and_then_the_power() {
+    // Seeds 1, 3, 4 and 5, and 30 positions of failing syncs with cubes, meet a fault that is still open: after several syncs that
+    // failed, a power cut leaves a write-ahead file that ends before what is in the database already, and the scene is refused.
     fail_some::<Solids>(&KINDS, 6, 2);
 }
 
