@@ -150,7 +150,7 @@ fn lines_that_are_wrong_say_where() {
     );
     refused(
         r#"{"shapes":{"x":{"cube":[1,1,1]}}}"#,
-        "line 1: shapes.x: unknown variant `cube`, expected one of `flat`, `ball`",
+        "line 1: shapes.x.cube: unknown field `cube`, expected one of `flat`, `ball`",
     );
     refused(
         r#"{"shapes":{"x":{"flat":{"diameter":6.00001,"length":9}}}}"#,

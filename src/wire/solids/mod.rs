@@ -11,6 +11,7 @@
 mod body;
 mod change;
 mod documents;
+mod polygon_error;
 mod properties;
 mod scale;
 mod settings;
@@ -26,6 +27,7 @@ pub use self::documents::{
     BoxDocument, CornersDocument, CutterDocument, FitName, FormDocument, ShapeDocument,
     SolidDocument,
 };
+pub(in crate::wire) use self::polygon_error::PolygonError;
 pub(in crate::wire) use self::properties::solid_measures;
 pub use self::properties::{
     ErrorBounds, ExactSolids, FixedPoint, SolidEdgeLength, SolidMeasures, SolidProperties,
@@ -33,7 +35,7 @@ pub use self::properties::{
 };
 pub use self::scale::{InvalidScale, Scale};
 pub(in crate::wire) use self::settings::{
-    DefinedShape, NewSolids, PolygonError, SolidSceneSettings, check, named_shape,
+    DefinedShape, NewSolids, SolidSceneSettings, check, named_shape,
 };
 pub use self::settings::{SolidSettings, SolidSettingsDocument};
 pub use self::shape::{ReadShape, shape};

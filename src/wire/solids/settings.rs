@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::documents::ShapeDocument;
+use super::polygon_error::PolygonError;
 use super::scale::Scale;
 use super::shape::shape;
 use super::stock::SolidStockDocument;
@@ -158,24 +159,6 @@ pub(in crate::wire) struct DefinedShape {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
     pub(in crate::wire) polygon_error: Option<PolygonError>,
-}
-
-/// How far, at most, the polygons that stand for circles are from them, in user units.
-#[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
-pub(in crate::wire) struct PolygonError {
-    /// How far they reach outside of the circles.
-    pub(in crate::wire) outside: f64,
-    /// How far they stay inside of them.
-    pub(in crate::wire) inside: f64,
-}
-
-impl PolygonError {
-    pub(super) fn of(Deviation { outside, inside }: Deviation, scale: Scale) -> Self {
-        Self {
-            outside: scale.deviation(outside),
-            inside: scale.deviation(inside),
-        }
-    }
 }
 
 impl Default for SolidSettingsDocument {

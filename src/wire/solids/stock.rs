@@ -6,8 +6,8 @@ use utoipa::ToSchema;
 
 use super::SolidFault;
 use super::documents::CutterDocument;
+use super::polygon_error::PolygonError;
 use super::scale::Scale;
-use super::settings::PolygonError;
 use super::shape::{cylinder, hull};
 use crate::engine::solids::Stock;
 use crate::geometry::convex::{Deviation, Point, Solid};

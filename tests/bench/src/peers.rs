@@ -4,10 +4,9 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use serde::Serialize;
-use union3d::engine::solids::{AREA_UNIT, VOLUME_UNIT};
-use union3d::geometry::{CubeId, Edge, Effect};
-use union3d::log::Header;
-use union3d::service::{Cubes, SceneKind, Solids};
+use union3d::engine;
+use union3d::engine::solids::{self, AREA_UNIT, Body, VOLUME_UNIT};
+use union3d::geometry::{self, CubeId, Edge, Effect, Place};
 
 use super::cubes;
 use super::failure::Failure;
@@ -55,44 +54,81 @@ struct Answer {
     area: f64,
 }
 
+/// An engine of cubes or of solids.
+trait Engine {
+    type Body: Clone;
+    type Totals: PartialEq;
+    /// False when what is deleted is not there, or what is inserted is.
+    fn apply(&mut self, effect: &Effect<Self::Body>) -> bool;
+    fn totals(&self) -> Self::Totals;
+    /// Volume and area, in steps.
+    fn measures(totals: &Self::Totals) -> [f64; 2];
+}
+
+impl Engine for engine::Engine {
+    type Body = Place;
+    type Totals = geometry::Totals;
+
+    fn apply(&mut self, effect: &Effect) -> bool {
+        Self::apply(self, effect).is_ok()
+    }
+
+    fn totals(&self) -> geometry::Totals {
+        Self::totals(self)
+    }
+
+    fn measures(totals: &geometry::Totals) -> [f64; 2] {
+        let measures = totals.measures;
+        [measures.volume, measures.area()].map(float_of_wide)
+    }
+}
+
+impl Engine for solids::Engine {
+    type Body = Body;
+    type Totals = solids::Totals;
+
+    fn apply(&mut self, effect: &Effect<Body>) -> bool {
+        Self::apply(self, effect).is_ok()
+    }
+
+    fn totals(&self) -> solids::Totals {
+        Self::totals(self)
+    }
+
+    fn measures(totals: &solids::Totals) -> [f64; 2] {
+        let measures = totals.measures;
+        [
+            float_of_wide(measures.volume6) / 6.0 * f64::from(VOLUME_UNIT).exp2(),
+            float_of_wide(measures.area2) / 2.0 * f64::from(AREA_UNIT).exp2(),
+        ]
+    }
+}
+
 /// Runs `union3d-bench peers`.
 pub(crate) fn run(args: &Args) -> Result<(), Failure> {
     let answer = match (&args.cubes, args.edge, &args.solids) {
         (Some(path), Some(edge), _) => {
-            let bodies = cubes::read(path, Edge::new(edge)?)?;
-            measure::<Cubes>(u32::try_from(edge)?, bodies, args.runs, |totals| {
-                let measures = totals.measures;
-                [measures.volume, measures.area()].map(float_of_wide)
-            })?
+            let edge = Edge::new(edge)?;
+            measure(
+                || engine::Engine::new(edge),
+                cubes::read(path, edge)?,
+                args.runs,
+            )?
         }
-        (_, _, Some(path)) => measure::<Solids>(0, hulls::read(path)?, args.runs, |totals| {
-            let measures = totals.union.measures;
-            [
-                float_of_wide(measures.volume6) / 6.0 * f64::from(VOLUME_UNIT).exp2(),
-                float_of_wide(measures.area2) / 2.0 * f64::from(AREA_UNIT).exp2(),
-            ]
-        })?,
+        (_, _, Some(path)) => measure(solids::Engine::new, hulls::read(path)?, args.runs)?,
         _ => return Err("no file is given".into()),
     };
     println!("{}", serde_json::to_string(&answer)?);
     Ok(())
 }
 
-fn measure<K: SceneKind>(
-    edge_steps: u32,
-    bodies: Vec<K::Body>,
+fn measure<E: Engine>(
+    new: impl Fn() -> E,
+    bodies: Vec<E::Body>,
     runs: usize,
-    measures: impl Fn(&K::Totals) -> [f64; 2],
 ) -> Result<Answer, Failure> {
-    let header = Header {
-        incarnation: 0,
-        edge_steps,
-        stock: None,
-        settings: String::new(),
-    };
-    let new = || K::engine(&header);
-    let apply = |engine: &mut K::Engine, effect: &Effect<K::Body>| {
-        let fits = K::apply(engine, effect);
+    let apply = |engine: &mut E, effect: &Effect<E::Body>| {
+        let fits = engine.apply(effect);
         assert!(
             fits,
             "what is deleted is there, and what is inserted is not"
@@ -102,24 +138,24 @@ fn measure<K: SceneKind>(
     let Some((last, batch)) = all.split_last().filter(|(_, batch)| !batch.is_empty()) else {
         return Err("one body is too few".into());
     };
-    let inserting = |inserted: &[(CubeId, K::Body)]| Effect {
+    let inserting = |inserted: &[(CubeId, E::Body)]| Effect {
         deleted: Vec::new(),
         inserted: inserted.to_vec(),
     };
-    let deleting = |deleted: &[(CubeId, K::Body)]| Effect {
+    let deleting = |deleted: &[(CubeId, E::Body)]| Effect {
         deleted: deleted.to_vec(),
         inserted: Vec::new(),
     };
 
-    let (mut engine, effect) = (new()?, inserting(batch));
+    let (mut engine, effect) = (new(), inserting(batch));
     let mut batches = Vec::new();
     for _ in 0..runs {
-        engine = new()?;
+        engine = new();
         let started = Instant::now();
         apply(&mut engine, &effect);
         batches.push(started.elapsed().as_secs_f64());
     }
-    let before = K::totals(&engine);
+    let before = engine.totals();
     let mut inserts = Vec::new();
     for id in (last.0.0..).map(CubeId).take(SINGLE_INSERTS) {
         let one = [(id, last.1.clone())];
@@ -128,31 +164,31 @@ fn measure<K: SceneKind>(
         inserts.push(time.as_secs_f64());
         apply(&mut engine, &delete);
     }
-    if !K::agree(&K::totals(&engine), &before) {
+    if engine.totals() != before {
         return Err("inserting and deleting a body has changed the totals".into());
     }
     apply(&mut engine, &inserting(std::slice::from_ref(last)));
-    let totals = K::totals(&engine);
+    let totals = engine.totals();
 
     let each_of_them = all.chunks(1);
     let insertions: Vec<_> = each_of_them.clone().map(inserting).collect();
     let deletions: Vec<_> = each_of_them.map(deleting).collect();
     let (mut all_inserts, mut all_deletes) = (Vec::new(), Vec::new());
     for _ in 0..runs {
-        let mut engine = new()?;
-        let nothing = K::totals(&engine);
+        let mut engine = new();
+        let nothing = engine.totals();
         let (_, time) = each(insertions.iter(), |effect| apply(&mut engine, effect));
         all_inserts.push(time.as_secs_f64());
-        if !K::agree(&K::totals(&engine), &totals) {
+        if engine.totals() != totals {
             return Err("a batch and its bodies one by one have different totals".into());
         }
         let (_, time) = each(deletions.iter(), |effect| apply(&mut engine, effect));
         all_deletes.push(time.as_secs_f64());
-        if !K::agree(&K::totals(&engine), &nothing) {
+        if engine.totals() != nothing {
             return Err("something is left when all is deleted".into());
         }
     }
-    let [volume, area] = measures(&totals);
+    let [volume, area] = E::measures(&totals);
     Ok(Answer {
         bodies: all.len(),
         batch_seconds: median(batches),
