@@ -401,7 +401,7 @@ async fn a_damaged_stock_is_refused() {
     let is_stock = |at: &[u8]| at[0] == 6 && at[1..].chunks(12).all(is_vertex);
     let found = good
         .windows(1 + 6 * 12)
-        .position(|at| is_stock(at) && at.iter().any(|byte| *byte == 5));
+        .position(|at| is_stock(at) && at.contains(&5));
     let found = found.expect("the stock is in the file");
     let mut random = Random::new(1);
     for at in found..found + 1 + 6 * 12 {
