@@ -324,6 +324,96 @@ fn rows_add_up_and_warnings_follow() {
     check_refused(&[STOCK, "--strict"], program, &["tool-comment"]);
 }
 
+/// The stock that comments say is the one that `--stock` would be, and the line is told; what is not all of it, or contradicts, is told and not taken.
+#[test]
+fn the_stock_is_found_in_comments() {
+    let slot = "G21 G90\nG0 X0 Y0 Z5\nG1 Z-3 F100\nX20\nG0 X0\nG0 Z5\nM2\n";
+    let said = format!(
+        "(Design File: slot.c2d)\n(stockMin:-20.00mm, -20.00mm, -10.00mm)\n(stockMax:40.00mm, 40.00mm, 0.00mm)\n{slot}"
+    );
+    let tool = ["--tool", "flat:4"];
+    let found = mill(&tool, &said);
+    let given = mill(&[&tool[..], &[STOCK]].concat(), slot);
+    assert_eq!(found["remaining"], given["remaining"]);
+    assert!(
+        found["remaining"]["volume"]
+            .as_f64()
+            .is_some_and(|volume| volume > 30_000.0)
+    );
+    let warnings = |milled: &Value| {
+        let warnings = milled["warnings"].as_array().unwrap().iter();
+        let stock = warnings.filter(|warning| warning["code"] == "stock-comment");
+        stock
+            .map(|warning| {
+                (
+                    warning["line"].as_u64().unwrap(),
+                    warning["text"].as_str().unwrap().to_owned(),
+                )
+            })
+            .collect::<Vec<_>>()
+    };
+    let told = warnings(&found);
+    assert_eq!(told.len(), 1, "{told:?}");
+    assert_eq!(told[0].0, 2);
+    assert!(
+        told[0]
+            .1
+            .contains("--stock -20.0,-20.0,-10.0:40.0,40.0,0.0"),
+        "{told:?}"
+    );
+    check_refused(
+        &[&tool[..], &["--strict"]].concat(),
+        &said,
+        &["stock-comment", "line 2"],
+    );
+    // In inches, of a program in millimetres.
+    let inches = ["--tool", "flat:0.157", "--unit", "inch"];
+    let bounds = mill(
+        &inches,
+        &said.replace("40.00mm, 40.00mm", "50.80mm, 50.80mm"),
+    );
+    assert!(warnings(&bounds)[0].1.contains(":2.0,2.0,0.0"), "{bounds}");
+    // What is given goes before what is said, and none is none.
+    let small = mill(
+        &[&tool[..], &["--stock=-20,-20,-10:10,40,0"]].concat(),
+        &said,
+    );
+    assert!(removed(&small) < 0.7 * removed(&found), "{small}");
+    assert_eq!(warnings(&small), []);
+    let none = mill(&["--tool", "flat:4,length=20", "--stock", "none"], &said);
+    assert!(
+        none["remaining"].is_null() && warnings(&none).is_empty(),
+        "{none}"
+    );
+    // Two that contradict each other are none.
+    let contradicting = format!("(STOCK/BLOCK, 60, 60, 9, 20, 20, 9)\n{said}");
+    let unknown = mill(&["--tool", "flat:4,length=20"], &contradicting);
+    assert!(unknown["remaining"].is_null(), "{unknown}");
+    assert!(
+        warnings(&unknown)[0].1.contains("another stock"),
+        "{unknown}"
+    );
+    check_refused(
+        &["--tool", "flat:4,length=20", "--fail-on-collision"],
+        &contradicting,
+        &["--fail-on-collision", "--stock"],
+    );
+    assert_eq!(
+        run(&[&tool[..], &["--fail-on-collision"]].concat(), &said)
+            .status
+            .code(),
+        Some(0)
+    );
+}
+
+/// A carriage return before the line feed is no line of its own.
+#[test]
+fn comments_stand_on_the_lines_that_editors_count() {
+    let program = "G21 G90\r\n(T1 D=4. CR=0. - flat end mill)\r\nT1 M6\r\nG0 X0 Y0 Z5\r\nG1 Z-3 F100\r\nG0 Z5\r\nM2\r\n";
+    let milled = mill(&[STOCK], program);
+    assert_eq!(milled["warnings"][0]["line"], 2, "{milled}");
+}
+
 #[test]
 fn acceleration_takes_time() {
     let program = "G21 G90\nG0 X0 Y0 Z0\nG1 X10 F600\nM2\n";

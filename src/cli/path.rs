@@ -172,7 +172,7 @@ pub(crate) fn run(args: Args) -> Outcome {
         output.flush()?;
         return Ok(ExitCode::SUCCESS);
     };
-    let (program, _) = args.program.open(&file, Unit::Mm)?;
+    let program = args.program.open(&file, Unit::Mm)?.program;
     let mut rows = match args.format {
         Format::Csv => {
             let mut csv = csv::WriterBuilder::new()

@@ -7,7 +7,9 @@ use clap::ValueEnum;
 
 use super::cutter::Unit;
 use super::input;
-use union3d::toolpath::{Dialect, Interpreter, Options, RapidPath, ToolTable, bit, bits};
+use union3d::toolpath::{
+    Dialect, Interpreter, Options, RapidPath, StockComment, ToolTable, bit, bits,
+};
 
 type Failure = Box<dyn std::error::Error>;
 
@@ -60,21 +62,35 @@ enum Rapids {
     Dogleg,
 }
 
+/// A program about to be run.
+pub(crate) struct Opened {
+    pub(crate) program: Interpreter,
+    /// Bytes of its text.
+    pub(crate) size: u64,
+    /// What its comments say of the stock.
+    pub(crate) stock: StockComment,
+}
+
 impl ProgramArgs {
-    /// A program about to be run, and its size in bytes. `unit` is that of its tools where nothing else is said.
+    /// A program about to be run. `unit` is that of its tools where nothing else is said.
     ///
     /// # Errors
     /// When a file cannot be read, or its text is no table of tools.
-    pub(crate) fn open(&self, path: &Path, unit: Unit) -> Result<(Interpreter, u64), Failure> {
+    pub(crate) fn open(&self, path: &Path, unit: Unit) -> Result<Opened, Failure> {
         let (mut source, _) = input::open(path)?;
         let mut text = Vec::new();
         source.read_to_end(&mut text).map_err(input::about(path))?;
         let size = text.len() as u64;
+        let stock = StockComment::of(&text);
         let mut options = self.options(self.tools_unit.unwrap_or(unit).mm())?;
         options.tools.take_comments(&text);
         let directory = path.parent().map(Path::to_owned);
         options.directory = directory.filter(|_| path != Path::new("-"));
-        Ok((Interpreter::new(text, options), size))
+        Ok(Opened {
+            program: Interpreter::new(text, options),
+            size,
+            stock,
+        })
     }
 
     /// Whether warnings refuse.

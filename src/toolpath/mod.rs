@@ -17,6 +17,7 @@
 mod arc;
 mod block;
 mod codes;
+mod comment;
 mod compensation;
 mod cycle;
 mod dialect;
@@ -30,6 +31,7 @@ mod options;
 mod parameters;
 mod path;
 mod spline;
+mod stock;
 mod text;
 mod tools;
 
@@ -39,4 +41,5 @@ pub use event::{Event, InvalidLine, Warning};
 pub use interpreter::Interpreter;
 pub use options::{Options, RapidPath};
 pub use path::{Motion, Move, Plane, Sampler};
+pub use stock::StockComment;
 pub use tools::{Bit, Cone, Shaped, Tool, ToolEnd, ToolShape, ToolTable, bit, bits};

@@ -23,35 +23,41 @@ pub(super) struct NoText {
     pub(super) what: &'static str,
 }
 
+/// Where the lines of a text are.
+pub(super) fn lines_of(bytes: &[u8]) -> impl Iterator<Item = Range<usize>> {
+    let mark = bytes.strip_prefix(b"\xef\xbb\xbf").map_or(0, |_| 3);
+    let end = bytes
+        .iter()
+        .position(|byte| *byte == 0x1a)
+        .unwrap_or(bytes.len());
+    let mut start = mark.min(end);
+    std::iter::from_fn(move || {
+        let rest = bytes.get(start..end).filter(|rest| !rest.is_empty())?;
+        let length = rest.iter().position(|byte| matches!(byte, b'\n' | b'\r'));
+        let line = start..start + length.unwrap_or(rest.len());
+        let pair = bytes.get(line.end..line.end + 2) == Some(b"\r\n");
+        start = line.end + if pair { 2 } else { 1 };
+        Some(line)
+    })
+}
+
 impl Text {
     /// # Errors
     /// [`NoText`] for a line of more than 65,536 bytes, and for a file of nothing but NULs.
     pub(super) fn new(bytes: Vec<u8>) -> Result<Self, NoText> {
-        let mark = bytes.strip_prefix(b"\xef\xbb\xbf").map_or(0, |_| 3);
-        let end = bytes
-            .iter()
-            .position(|byte| *byte == 0x1a)
-            .unwrap_or(bytes.len());
         if !bytes.is_empty() && bytes.iter().all(|byte| *byte == 0) {
             let what = "nothing but NULs: this is no text";
             return Err(NoText { line: 1, what });
         }
         let mut lines = Vec::with_capacity(bytes.len() / 24);
-        let mut start = mark.min(end);
-        while start < end {
-            let length = bytes[start..end]
-                .iter()
-                .position(|byte| matches!(byte, b'\n' | b'\r'));
-            let stop = length.map_or(end, |length| start + length);
-            if stop - start > LINE_BYTES_MAX {
+        for line in lines_of(&bytes) {
+            if line.len() > LINE_BYTES_MAX {
                 return Err(NoText {
                     line: lines.len() as u64 + 1,
                     what: "a line without end: this is no G-code",
                 });
             }
-            lines.push(start..stop);
-            let pair = bytes.get(stop..stop + 2) == Some(b"\r\n");
-            start = stop + if pair { 2 } else { 1 };
+            lines.push(line);
         }
         Ok(Self { bytes, lines })
     }

@@ -58,6 +58,8 @@ const WARNINGS_MAX: u64 = 10;
 Tools have shapes: --tool T1=flat:6 (or ball:6, bull:6,corner=1, vee:6,angle=60,tip=0.2, drill:6,angle=118, tapered:6,angle=3,tip=2, \
 form:0x0/4x3/4x10 of diameters and heights), with length=22 from the tip to the holder, flutes=15, shank=6 and holder=40x30/50x20; from --tools; or from \
 comments of the program as Autodesk's posts write them. Without a number it is the tool of programs that name none. A tool without a shape is refused where it cuts. \
+Without --stock the material is a box that comments of the program say as Carbide Create, CutViewer, Vectric and posts of Fusion 360 write it, and the line is told; when they do not say all of it, \
+or contradict each other, that is told and there is none. \
 Every straight feed is one solid, exactly what the tool sweeps, its ends rounded to the lattice; round tools are polygons of --sides, arcs and splines chords no farther off than \
 --tolerance, and the report says how far that is. The flutes cut. With a stock, what the shank or the holder goes through is told, and rapids that hit material.
 
@@ -114,7 +116,8 @@ pub(crate) struct Args {
     #[arg(long, requires = "grpc", conflicts_with_all = ["edge", "csv", "fail_on_collision"])]
     replace: bool,
     /// The material, in the scene's unit: a box from its least to its greatest corner, `x,y,z:x,y,z`; for tools with shapes also an upright
-    /// cylinder by the middle of its lower end, `cylinder:x,y,z:DIAMETERxHEIGHT`, or a convex hull, `hull:x,y,z:x,y,z:...`.
+    /// cylinder by the middle of its lower end, `cylinder:x,y,z:DIAMETERxHEIGHT`, or a convex hull, `hull:x,y,z:x,y,z:...`. Left out, it is what
+    /// comments of the program say of it (tools with shapes only); `none` is none, whatever they say.
     #[arg(long, value_name = "STOCK", value_parser = stock::parse, allow_hyphen_values = true)]
     stock: Option<StockForm>,
     /// Speed of rapids, in the scene's unit a minute [default: 5000 mm a minute].
@@ -124,7 +127,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
     /// End with status 3 when a rapid, a shank or a holder hits material.
-    #[arg(long, requires = "stock", visible_alias = "fail-on-rapid-cut")]
+    #[arg(long, visible_alias = "fail-on-rapid-cut")]
     fail_on_collision: bool,
     /// Volumes up to this are no hit, and a feed line that removes no more cuts air; in the scene's unit cubed.
     #[arg(long, value_name = "VOLUME", value_parser = not_negative, default_value_t = 0.0)]
@@ -194,6 +197,14 @@ impl Args {
         }
     }
 
+    /// Refuses to fail on collisions where nothing can be hit.
+    fn check_collision(&self) -> Result<(), &'static str> {
+        match (self.fail_on_collision, &self.stock) {
+            (true, None) => Err("--fail-on-collision needs material that can be hit: give --stock"),
+            _ => Ok(()),
+        }
+    }
+
     /// Lattice steps in a unit.
     fn steps_per_unit(&self) -> u32 {
         self.steps_per_unit.unwrap_or(match (self.edge, self.unit) {
@@ -216,17 +227,19 @@ struct Milled<'answer> {
 }
 
 /// Runs `mill`.
-pub(crate) fn run(args: Args) -> Outcome {
+pub(crate) fn run(mut args: Args) -> Outcome {
     let Some(edge) = args.edge else {
-        return solids::run(&args);
+        return solids::run(args);
     };
+    args.stock = args.stock.filter(|form| *form != StockForm::Nothing);
+    args.check_collision()?;
     let settings = settings(&args, edge)?;
-    let program = args.program.open(&args.file, args.unit)?;
+    let opened = args.program.open(&args.file, args.unit)?;
     let runtime = tokio::runtime::Runtime::new()?;
-    runtime.block_on(mill(args, &settings, program))
+    runtime.block_on(mill(args, &settings, opened.program, opened.size))
 }
 
-async fn mill(args: Args, settings: &Settings, (mut program, size): (Interpreter, u64)) -> Outcome {
+async fn mill(args: Args, settings: &Settings, mut program: Interpreter, size: u64) -> Outcome {
     let started = Instant::now();
     let step = args
         .step

@@ -1,5 +1,8 @@
-//! The stock as it is written on the command line.
+//! The stock as it is written on the command line, or in comments of the program.
 
+use union3d::toolpath::{StockComment, Warning};
+
+use super::super::cutter::{Unit, positive};
 use super::super::program::point;
 
 /// The material before anything is cut. Units: the scene's.
@@ -15,17 +18,22 @@ pub(super) enum StockForm {
     },
     /// The convex hull of points.
     Hull(Vec<[f64; 3]>),
+    /// None, whatever comments of the program say.
+    Nothing,
 }
 
-/// A stock, such as `0,0,-10:80,60,0`, `cylinder:0,0,-20:50x20` or `hull:0,0,0:10,0,0:0,10,0:0,0,10`.
+/// A stock, such as `0,0,-10:80,60,0`, `cylinder:0,0,-20:50x20`, `hull:0,0,0:10,0,0:0,10,0:0,0,10` or `none`.
 pub(super) fn parse(text: &str) -> Result<StockForm, String> {
+    if text == "none" {
+        return Ok(StockForm::Nothing);
+    }
     if let Some(cylinder) = text.strip_prefix("cylinder:") {
         let parsed = cylinder.split_once(':').and_then(|(base, size)| {
             let (diameter, height) = size.split_once('x')?;
             Some(StockForm::Cylinder {
                 base: point(base).ok()?,
-                diameter: super::cutter::positive(diameter).ok()?,
-                height: super::cutter::positive(height).ok()?,
+                diameter: positive(diameter).ok()?,
+                height: positive(height).ok()?,
             })
         });
         return parsed.ok_or_else(|| {
@@ -40,6 +48,28 @@ pub(super) fn parse(text: &str) -> Result<StockForm, String> {
     text.split_once(':')
         .and_then(|(min, max)| Some(StockForm::Box([point(min).ok()?, point(max).ok()?])))
         .ok_or_else(|| "it is not two corners, such as 0,0,-10:80,60,0".to_owned())
+}
+
+/// What comments of a program say of its stock, in the scene's unit, and what is to be told of that.
+pub(super) fn from_comment(said: StockComment, unit: Unit) -> (Option<StockForm>, Option<Warning>) {
+    let told = |line: u64, text: String| Warning {
+        line,
+        code: "stock-comment".into(),
+        text,
+    };
+    match said {
+        StockComment::Nothing => (None, None),
+        StockComment::Box { corners, line } => {
+            let corners = corners.map(|corner| corner.map(|mm| mm / unit.mm()));
+            let [least, greatest] = corners.map(|[x, y, z]| format!("{x:?},{y:?},{z:?}"));
+            let text = format!("the stock is taken from this comment: --stock {least}:{greatest}");
+            (Some(StockForm::Box(corners)), Some(told(line, text)))
+        }
+        StockComment::Unclear { line, why } => {
+            let text = format!("{why}: no stock is taken from it; give --stock");
+            (None, Some(told(line, text)))
+        }
+    }
 }
 
 impl StockForm {

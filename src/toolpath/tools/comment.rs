@@ -1,19 +1,18 @@
 //! Tools as Autodesk's posts write them into comments: `(T1 D=6. CR=0. - ZMIN=-3. - flat end mill)`.
 
+use super::super::comment::{comments, mm_per_unit};
 use super::{Shaped, ToolEnd, ToolShape, ToolTable};
 
 impl ToolTable {
-    /// Takes the shapes of tools from the comments of a program, where the table has none. They are in the program's unit, which is that
-    /// of its first G20 or G21, millimetres without one.
+    /// Takes the shapes of tools from the comments of a program, where the table has none. They are in the program's unit.
     pub fn take_comments(&mut self, program: &[u8]) {
-        let lines = || program.split(|byte| matches!(byte, b'\n' | b'\r'));
-        let mut mm_per_unit = None;
-        for (number, line) in (1..).zip(lines()) {
-            let Some((tool, text)) = tool_of(line) else {
+        let mut unit = None;
+        for (number, comment) in comments(program) {
+            let Some((tool, text)) = tool_of(&comment) else {
                 continue;
             };
-            let unit = *mm_per_unit.get_or_insert_with(|| lines().find_map(unit_of).unwrap_or(1.0));
-            let shaped = match shape_of(&text, unit) {
+            let unit = *unit.get_or_insert_with(|| mm_per_unit(program));
+            let shaped = match shape_of(text, unit) {
                 Ok(shape) => Shaped::Comment(shape, number),
                 Err(why) => Shaped::Unsupported(format!("the comment on line {number} {why}")),
             };
@@ -25,42 +24,16 @@ impl ToolTable {
     }
 }
 
-/// Millimetres in the unit that a line sets, if it does.
-fn unit_of(line: &[u8]) -> Option<f64> {
-    let code = line
-        .split(|byte| matches!(byte, b'(' | b';'))
-        .next()
-        .unwrap_or_default()
-        .to_ascii_uppercase();
-    let has = |word: &[u8; 3]| {
-        code.windows(3).enumerate().any(|(at, window)| {
-            window == word
-                && !code
-                    .get(at + 3)
-                    .is_some_and(|next| next.is_ascii_digit() || *next == b'.')
-        })
-    };
-    match (has(b"G20"), has(b"G21")) {
-        (true, _) => Some(25.4),
-        (_, true) => Some(1.0),
-        _ => None,
-    }
-}
-
-/// The number of a tool and what a comment says of it, in lower case.
-fn tool_of(line: &[u8]) -> Option<(u32, String)> {
-    let start = line.iter().position(|byte| matches!(byte, b'(' | b';'))?;
-    let comment = String::from_utf8_lossy(&line[start + 1..]).to_ascii_lowercase();
-    let comment = comment.trim_start();
-    let digits: String = comment
-        .strip_prefix('t')?
-        .chars()
-        .take_while(char::is_ascii_digit)
-        .collect();
-    let rest = &comment[1 + digits.len()..];
+/// The number of a tool and what a comment says of it.
+fn tool_of(comment: &str) -> Option<(u32, &str)> {
+    let rest = comment.strip_prefix('t')?;
+    let digits = rest.len()
+        - rest
+            .trim_start_matches(|digit: char| digit.is_ascii_digit())
+            .len();
+    let (number, rest) = rest.split_at(digits);
     let is_tool = rest.starts_with(char::is_whitespace) && rest.contains(" d=");
-    let number = digits.parse().ok().filter(|_| is_tool)?;
-    Some((number, rest.trim_end().trim_end_matches(')').to_owned()))
+    Some((number.parse().ok().filter(|_| is_tool)?, rest))
 }
 
 fn shape_of(text: &str, mm_per_unit: f64) -> Result<ToolShape, String> {

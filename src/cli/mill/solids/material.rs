@@ -108,6 +108,7 @@ fn document(form: &StockForm, scale: Scale) -> SolidStockDocument {
             }),
             ..SolidStockDocument::default()
         },
+        StockForm::Nothing => unreachable!("no stock has no form"),
         StockForm::Hull(points) => SolidStockDocument {
             hull: Some(points.clone()),
             ..SolidStockDocument::default()

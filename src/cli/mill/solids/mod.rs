@@ -29,6 +29,7 @@ use self::schedule::Machine;
 use self::shop::Shop;
 use self::target::{Measured, Target};
 use super::super::{Outcome, progress, report};
+use super::stock::{self, StockForm};
 use super::tally::{self, Cutting, Tally};
 use super::{
     Args, COLLISION, Count, Warnings, about_csv, book, created, nothing_cut, path, rapid_rate,
@@ -103,16 +104,46 @@ struct Rounding {
 }
 
 /// Runs `mill` with tools that have shapes.
-pub(super) fn run(args: &Args) -> Outcome {
+pub(super) fn run(mut args: Args) -> Outcome {
+    let started = Instant::now();
     let interrupted = stop_on_interrupt()?;
+    let opened = args.program.open(&args.file, args.unit)?;
+    let mut warnings = Warnings::default();
+    args.stock = match args.stock.take() {
+        Some(StockForm::Nothing) => None,
+        None => {
+            let (stock, told) = stock::from_comment(opened.stock, args.unit);
+            if let Some(told) = told {
+                if args.program.is_strict() {
+                    return Err(told.to_string().into());
+                }
+                warnings.add(told, &ProgressBar::hidden());
+            }
+            stock
+        }
+        given => given,
+    };
+    args.check_collision()?;
     let runtime = tokio::runtime::Runtime::new()?;
-    runtime.block_on(mill(args, &interrupted))
+    let milled = mill(
+        &args,
+        started,
+        opened.program,
+        opened.size,
+        warnings,
+        &interrupted,
+    );
+    runtime.block_on(milled)
 }
 
-async fn mill(args: &Args, interrupted: &AtomicBool) -> Outcome {
-    let started = Instant::now();
-    let (program, size) = args.program.open(&args.file, args.unit)?;
-    let mut warnings = Warnings::default();
+async fn mill(
+    args: &Args,
+    started: Instant,
+    program: Interpreter,
+    size: u64,
+    mut warnings: Warnings,
+    interrupted: &AtomicBool,
+) -> Outcome {
     let mut count = Count::default();
     let bar = progress::bytes(Some(size));
     let read = read(program, args, &mut warnings, &mut count, &bar);
