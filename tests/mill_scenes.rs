@@ -249,6 +249,54 @@ fn a_scene_must_fit_the_program() {
     check_refused(&[STOCK, "--scene", "x"], PROGRAM, &["--server or --grpc"]);
 }
 
+/// What was cut before a holder came near the stock for the first time counts, too, from the first solid on: in its holes a thin holder
+/// goes through nothing.
+#[test]
+fn holders_know_all_that_was_cut_before() {
+    let directory = tempfile::tempdir().unwrap();
+    let server = Server::start(&directory.path().join("data"));
+    let program = "G21 G90\nT1 M6\nG0 X10 Y10 Z30\nG1 Z-5 F300\nG0 Z30\nX30\nG1 Z-5\nG0 Z30\nT2 M6\nX10\nG1 Z-5\nG0 Z30\nX30\nG1 Z-5\nG0 Z30\nX50\nG1 Z-5\nM2\n";
+    let tools = [
+        "--tool",
+        "T1=flat:6",
+        "--tool",
+        "T2=flat:2,length=4,holder=4x30",
+        STOCK,
+    ];
+    for way in [
+        &[][..],
+        &["--server", &server.url, "--scene", "http"],
+        &["--grpc", &server.grpc, "--scene", "grpc"],
+    ] {
+        let milled = mill(&[&tools[..], way].concat(), program);
+        let hits = milled["cutting"]["shank_or_holder"]["lines"]
+            .as_array()
+            .unwrap();
+        let lines: Vec<_> = hits.iter().map(|hit| hit["line"].as_u64()).collect();
+        assert_eq!(lines, [Some(17)], "{way:?}");
+    }
+}
+
+/// What a server refuses is a line of the program for who sent it.
+#[test]
+fn a_refusal_names_the_line() {
+    let directory = tempfile::tempdir().unwrap();
+    let server = Server::start(&directory.path().join("data"));
+    let program = "G21 G90\nG0 X0 Y0 Z0\nG1 X10 F600\nX3000\nX10\nM2\n";
+    let tool = ["--tool", "flat:2,length=10"];
+    for way in [
+        &[][..],
+        &["--server", &server.url, "--scene", "http"],
+        &["--grpc", &server.grpc, "--scene", "grpc"],
+    ] {
+        check_refused(
+            &[&tool[..], way].concat(),
+            program,
+            &["line 4: ", "steps long"],
+        );
+    }
+}
+
 /// Lines to and fro, one a row; `edited` is the row that goes elsewhere.
 fn rows(edited: Option<usize>) -> String {
     let mut program = String::from("G21 G90\nT1 M6\nG0 X5 Y2 Z5\nG1 Z-1 F500\n");

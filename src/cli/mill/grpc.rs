@@ -294,7 +294,14 @@ impl<T> GrpcStream<T> {
                     let busy = Status::unavailable(problem.detail);
                     return self.connect_again(busy).await.map(|()| None);
                 }
-                Err(self.refused(Status::failed_precondition(problem.detail)))
+                let sent = self.in_flight.iter();
+                let mut sent = sent.filter(|sent| sent.message.tag == refused.tag);
+                let change = sent.next().and_then(|sent| sent.message.change.as_ref());
+                // What a program sends names the line as its move.
+                let line = change.and_then(|change| change.r#move);
+                let line = line.map_or_else(String::new, |line| format!("line {line}: "));
+                let detail = format!("{line}{}", problem.detail);
+                Err(self.refused(Status::failed_precondition(detail)))
             }
             Some(response::Message::Opened(_)) | None => Ok(None),
         }

@@ -92,7 +92,8 @@ impl Target {
                 let seconds = change.seconds();
                 let answer = client
                     .move_and_measure(*next_id, &change.places, change.line, seconds, &key)
-                    .await?;
+                    .await
+                    .map_err(|failure| format!("line {}: {failure}", change.line))?;
                 *next_id += change.places.len() as u64;
                 let (removed, after) = read(&answer).ok_or(
                     "cannot make sense of the server's answer (is it of the same version?)",

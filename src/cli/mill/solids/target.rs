@@ -156,7 +156,9 @@ impl Target {
                 *changes += 1;
                 let key = format!("{}-{changes}", run.simple());
                 let told = Told::of(&stroke, watch.hit(&stroke)?);
-                let answer = client.change(&change(&stroke)?, Some(&key)).await?;
+                let answer = client.change(&change(&stroke)?, Some(&key)).await;
+                let answer =
+                    answer.map_err(|failure| format!("line {}: {failure}", stroke.line))?;
                 let (seq, removed, after) = read(&answer).ok_or(
                     "cannot make sense of the server's answer (is it of the same version?)",
                 )?;
