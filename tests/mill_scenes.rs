@@ -249,13 +249,13 @@ fn a_scene_must_fit_the_program() {
     check_refused(&[STOCK, "--scene", "x"], PROGRAM, &["--server or --grpc"]);
 }
 
-/// What was cut before a holder came near the stock for the first time counts, too, from the first solid on: in its holes a thin holder
-/// goes through nothing.
+/// What was cut before a holder came near the stock for the first time counts, too, from the first solid on, a ramp of which no later one
+/// covers the middle: in there a thin holder goes through nothing.
 #[test]
 fn holders_know_all_that_was_cut_before() {
     let directory = tempfile::tempdir().unwrap();
     let server = Server::start(&directory.path().join("data"));
-    let program = "G21 G90\nT1 M6\nG0 X10 Y10 Z30\nG1 Z-5 F300\nG0 Z30\nX30\nG1 Z-5\nG0 Z30\nT2 M6\nX10\nG1 Z-5\nG0 Z30\nX30\nG1 Z-5\nG0 Z30\nX50\nG1 Z-5\nM2\n";
+    let program = "G21 G90\nT1 M6\nG0 X5 Y10 Z5\nG1 X35 Z-10 F300\nG0 Z30\nX50 Y30\nG1 Z-5\nG0 Z30\nT2 M6\nX22 Y10\nG1 Z-5\nG0 Z30\nX50 Y30\nG1 Z-5\nG0 Z30\nY10\nG1 Z-5\nM2\n";
     let tools = [
         "--tool",
         "T1=flat:6",
