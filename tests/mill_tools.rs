@@ -309,7 +309,8 @@ fn rows_add_up_and_warnings_follow() {
             "area",
             "warning",
             "tool",
-            "shank_or_holder"
+            "shank_or_holder",
+            "contact_area"
         ]
     );
     let sum: f64 = rows[1..]
@@ -412,6 +413,104 @@ fn comments_stand_on_the_lines_that_editors_count() {
     let program = "G21 G90\r\n(T1 D=4. CR=0. - flat end mill)\r\nT1 M6\r\nG0 X0 Y0 Z5\r\nG1 Z-3 F100\r\nG0 Z5\r\nM2\r\n";
     let milled = mill(&[STOCK], program);
     assert_eq!(milled["warnings"][0]["line"], 2, "{milled}");
+}
+
+/// The area of contact of each line that has one, by its row of --csv; empty cells are none.
+fn contacts(arguments: &[&str], program: &str) -> (Value, Vec<(u64, Option<f64>)>) {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("lines.csv");
+    let milled = mill(
+        &[arguments, &["--csv", file.to_str().unwrap()]].concat(),
+        program,
+    );
+    let text = std::fs::read_to_string(file).unwrap();
+    let rows = text.lines().skip(1).map(|row| {
+        let cells: Vec<&str> = row.split(',').collect();
+        (cells[0].parse().unwrap(), cells[11].parse().ok())
+    });
+    (milled, rows.collect())
+}
+
+/// A plunge, a slot, the way back, a deeper slot of which the upper half is air, an arc of many chords, and a hole in pecks.
+#[test]
+fn contact_is_the_new_surface_that_a_line_leaves() {
+    let program = "G21 G90\nG0 X0 Y0 Z5\nG1 Z-3 F100\nX20\nX0\nX5 Z-4\nX0 Z-3\nG0 Z5\nX0 Y30\nG1 Z-3\nG3 X-10 Y20 I0 J-10\nG0 Z5\nG83 X30 Y20 Z-8 R1 Q3 F50\nG80\nM2\n";
+    let fine = [
+        "--tool",
+        "flat:4",
+        STOCK,
+        "--sides",
+        "256",
+        "--steps-per-unit",
+        "10000",
+        "--tolerance",
+        "0.001",
+    ];
+    let (milled, found) = contacts(&fine, program);
+    let plunge = |depth: f64| 4.0 * PI + depth * 4.0 * PI;
+    let expected = [
+        (3, plunge(3.0)),
+        // Floor and both sides, and the half round at the end: at the start it lies on that of the plunge.
+        (4, 20.0 * 4.0 + 2.0 * 20.0 * 3.0 + 3.0 * 2.0 * PI),
+        (5, 0.0),
+        (10, plunge(3.0)),
+        // A quarter of a ring 4 wide around a circle of 10, outside and inside, and the half round at its end.
+        (
+            11,
+            PI / 4.0 * (144.0 - 64.0) + PI / 2.0 * (12.0 + 8.0) * 3.0 + 3.0 * 2.0 * PI,
+        ),
+        // Three pecks: the floor of each is new again.
+        (13, plunge(8.0) + 2.0 * 4.0 * PI),
+    ];
+    for (line, expected) in expected {
+        let of_line = found.iter().find(|(other, _)| *other == line);
+        let contact = of_line
+            .and_then(|(_, contact)| *contact)
+            .unwrap_or(f64::NAN);
+        // Of a facet along the way, half belongs to the end and half to the side: 3 x 0.025 each.
+        assert!(
+            (contact - expected).abs() < 0.2,
+            "line {line}: {contact} instead of {expected}"
+        );
+    }
+    // Down the ramp there is new surface; up on the same way there is none.
+    let at = |line: u64| {
+        found
+            .iter()
+            .find(|(other, _)| *other == line)
+            .unwrap()
+            .1
+            .unwrap()
+    };
+    assert!(at(6) > 10.0 && at(7) == 0.0, "{found:?}");
+    let most = &milled["cutting"]["contact_area"];
+    assert_eq!(most["peak_line"], 4, "{most}");
+    assert!(
+        (most["peak"].as_f64().unwrap() - 218.85).abs() < 0.2,
+        "{most}"
+    );
+    // A coarser path has about the same: the ends of chords inside the arc are no surface that stays.
+    let (_, coarse) = contacts(&["--tool", "flat:4", STOCK, "--tolerance", "0.1"], program);
+    let arcs = [&found, &coarse].map(|rows| {
+        rows.iter()
+            .find(|(line, _)| *line == 11)
+            .unwrap()
+            .1
+            .unwrap()
+    });
+    assert!((arcs[0] - arcs[1]).abs() < 3.0, "{arcs:?}");
+}
+
+/// When a holder is asked for between the chords of a move, the contact of that line is not known; of a move of one solid it is.
+#[test]
+fn contact_is_left_out_where_it_is_not_known() {
+    let program = "G21 G90\nG0 X0 Y0 Z5\nG1 Z-9 F100\nG2 X10 Y10 I10 J0\nG1 X20\nM2\n";
+    let (_, found) = contacts(&["--tool", "flat:4,length=8,holder=10x30", STOCK], program);
+    let known: Vec<(u64, bool)> = found
+        .iter()
+        .map(|(line, contact)| (*line, contact.is_some()))
+        .collect();
+    assert_eq!(known, [(2, true), (3, true), (4, false), (5, true)]);
 }
 
 #[test]

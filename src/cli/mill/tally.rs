@@ -45,6 +45,8 @@ pub(super) struct ToolCut {
     pub(super) number: u32,
     /// Volume of the material that its shank or its holder went through; none where that is not known.
     pub(super) hit: Option<i128>,
+    /// Its area of contact: of the surface that its flutes leave where they remove material; none where that is not known.
+    pub(super) contact: Option<i128>,
 }
 
 /// What makes user units of a scene's integers, and what is too little to be said.
@@ -71,6 +73,10 @@ impl Scale {
 
     fn volume(&self, units: i128) -> f64 {
         float(units) / self.volume
+    }
+
+    fn area(&self, units: i128) -> f64 {
+        float(units) / self.area
     }
 
     /// Whether a volume is worth a word.
@@ -123,6 +129,9 @@ pub(super) struct Cutting {
     pub(super) volume_removed: f64,
     /// Volume a second of feed moves: mean, and the most a line has, and which.
     pub(super) removal_rate: RemovalRate,
+    /// The most area of contact that a feed line has of which it is known, and which; left out where it is known of none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) contact_area: Option<ContactArea>,
     /// Feed moves that removed nothing.
     pub(super) air_cuts: AirCuts,
     /// Rapids that removed something.
@@ -149,6 +158,12 @@ pub(super) struct RemovalRate {
     pub(super) mean: Option<f64>,
     pub(super) peak: Option<f64>,
     pub(super) peak_line: Option<u64>,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct ContactArea {
+    pub(super) peak: f64,
+    pub(super) peak_line: u64,
 }
 
 #[derive(Debug, Default, Serialize)]
@@ -182,7 +197,7 @@ const COLUMNS: [&str; 9] = [
     "area",
     "warning",
 ];
-const COLUMNS_OF_SOLIDS: [&str; 11] = [
+const COLUMNS_OF_SOLIDS: [&str; 12] = [
     "line",
     "motion",
     "solids",
@@ -194,6 +209,7 @@ const COLUMNS_OF_SOLIDS: [&str; 11] = [
     "warning",
     "tool",
     "shank_or_holder",
+    "contact_area",
 ];
 
 /// A row of `--csv`: a line of the program, or after them all a warning. Units: user units, seconds.
@@ -208,9 +224,9 @@ struct Row {
     total_removed: Option<f64>,
     area: Option<f64>,
     warning: Option<String>,
-    /// Of solids only: the tool, and the volume that its shank or its holder hits.
+    /// Of solids only: the tool, the volume that its shank or its holder hits, and its area of contact.
     #[serde(skip_serializing_if = "Option::is_none")]
-    tool: Option<(Option<u32>, Option<f64>)>,
+    tool: Option<(Option<u32>, Option<f64>, Option<f64>)>,
 }
 
 impl<'file> Tally<'file> {
@@ -279,7 +295,9 @@ impl<'file> Tally<'file> {
             }
             open.bodies += cut.bodies;
             if let (Some(open), Some(tool)) = (&mut open.tool, cut.tool) {
-                open.hit = open.hit.zip(tool.hit).map(|(one, other)| one + other);
+                let sum = |(one, other)| one + other;
+                open.hit = open.hit.zip(tool.hit).map(sum);
+                open.contact = open.contact.zip(tool.contact).map(sum);
             }
             open.removed += cut.removed;
             open.duration = match (open.duration, cut.duration) {
@@ -300,7 +318,7 @@ impl<'file> Tally<'file> {
         if let Some(complete) = self.open.take() {
             self.close(&complete)?;
         }
-        let no_tool = self.is_of_solids().then_some((None, None));
+        let no_tool = self.is_of_solids().then_some((None, None, None));
         if let Some(csv) = &mut self.csv {
             for warning in warnings {
                 csv.serialize(Row {
@@ -375,6 +393,16 @@ impl<'file> Tally<'file> {
             Kind::Rapid | Kind::Dwell => {}
         }
         if let Some(tool) = cut.tool {
+            if let Some(contact) = tool.contact.filter(|_| cut.kind == Kind::Feed) {
+                let area = scale.area(contact);
+                let most = &mut cutting.contact_area;
+                if most.as_ref().is_none_or(|most| area > most.peak) {
+                    *most = Some(ContactArea {
+                        peak: area,
+                        peak_line: cut.line,
+                    });
+                }
+            }
             let own = self.tools.entry(tool.number).or_default();
             own.lines += 1;
             own.removed += cut.removed;
@@ -402,11 +430,15 @@ impl<'file> Tally<'file> {
             volume_removed: Some(removed),
             removal_rate: rate,
             total_removed: Some(scale.volume(cut.total_removed)),
-            area: Some(float(cut.area) / scale.area),
+            area: Some(scale.area(cut.area)),
             warning: None,
-            tool: cut
-                .tool
-                .map(|tool| (Some(tool.number), tool.hit.map(|hit| scale.volume(hit)))),
+            tool: cut.tool.map(|tool| {
+                (
+                    Some(tool.number),
+                    tool.hit.map(|hit| scale.volume(hit)),
+                    tool.contact.map(|contact| scale.area(contact)),
+                )
+            }),
         };
         match &mut self.csv {
             Some(csv) => csv.serialize(row),
@@ -439,7 +471,11 @@ mod tests {
             };
             let mut tally = Tally::of_solids(scale, Some(Box::new(&mut rows))).unwrap();
             for (line, hit) in [(1, Some(192)), (2, last)] {
-                let tool = Some(ToolCut { number: 1, hit });
+                let tool = Some(ToolCut {
+                    number: 1,
+                    hit,
+                    contact: None,
+                });
                 let cut = Cut {
                     line,
                     kind: Kind::Feed,
@@ -457,8 +493,8 @@ mod tests {
             let volume = cutting.shank_or_holder.map(|hits| hits.volume);
             assert_eq!(volume, last.map(|_| 3.0));
             let rows = String::from_utf8(rows).unwrap();
-            let cell = if last.is_some() { "1,1.0" } else { "1," };
-            assert!(rows.lines().nth(1).unwrap().ends_with(",1,2.0"), "{rows}");
+            let cell = if last.is_some() { "1,1.0," } else { "1,," };
+            assert!(rows.lines().nth(1).unwrap().ends_with(",1,2.0,"), "{rows}");
             assert!(rows.lines().nth(2).unwrap().ends_with(cell), "{rows}");
         }
     }

@@ -16,6 +16,7 @@
 //! go too are covered by parts before them, and so on. Deletions are the same backwards: the parts that go are the fresh ones, evaluated
 //! as if they had come last.
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use rustc_hash::{FxHashMap, FxHashSet};
@@ -30,7 +31,7 @@ use super::piece::Piece;
 use super::slots::{Part, State};
 use super::witnesses::Placed;
 use super::worker::Worker;
-use super::{Body, Engine, Entry, Neighbour, SolidId, cursor, prepare};
+use super::{Added, Body, Engine, Entry, Neighbour, SolidId, cursor, prepare};
 
 /// From so many bodies on, waking other threads pays: some milliseconds of work.
 pub(super) const BATCH_MIN: usize = 16;
@@ -42,18 +43,18 @@ const SLICE: usize = 1024;
 const PARTS_AT_ONCE: usize = 8;
 
 /// Fresh parts, by rank, and what is around them.
-struct Batch {
-    fresh: Vec<Fresh>,
+pub(super) struct Batch {
+    pub(super) fresh: Vec<Fresh>,
     ranks: FxHashMap<u32, usize>,
     /// Settled parts that touch a fresh one.
     beside: Vec<Beside>,
 }
 
-struct Fresh {
+pub(super) struct Fresh {
     slot: u32,
-    piece: Arc<Piece>,
+    pub(super) piece: Arc<Piece>,
     /// What touches it, nearest first.
-    around: Vec<Neighbour>,
+    pub(super) around: Vec<Neighbour>,
 }
 
 struct Beside {
@@ -64,15 +65,15 @@ struct Beside {
 }
 
 /// What evaluating a fresh part found.
-struct Found {
-    books: Books,
-    change: Option<Room>,
+pub(super) struct Found {
+    pub(super) books: Books,
+    pub(super) change: Option<Room>,
     /// A part that covers it alone, when nothing changes.
     holder: Option<u32>,
 }
 
 impl Batch {
-    fn rank(&self, slot: u32) -> Option<usize> {
+    pub(super) fn rank(&self, slot: u32) -> Option<usize> {
         self.ranks.get(&slot).copied()
     }
 
@@ -111,21 +112,87 @@ impl Batch {
 }
 
 impl Engine {
-    /// Inserts bodies whose ids are free; what each adds to those before it is told in their order.
-    pub(super) fn insert_batch(
-        &mut self,
-        bodies: &[(SolidId, Body)],
-        mut each: impl FnMut(Measures),
-    ) {
+    /// Inserts bodies whose ids are free.
+    pub(super) fn insert_batch(&mut self, bodies: &[(SolidId, Body)]) {
         for slice in bodies.chunks(SLICE) {
-            let (owners, slots): (Vec<usize>, Vec<u32>) = self.enter(slice).into_iter().unzip();
-            let mut added = vec![Measures::default(); slice.len()];
-            for (owner, part) in owners.into_iter().zip(self.settle(&slots)) {
-                added[owner].add(&part);
-            }
-            added.into_iter().for_each(&mut each);
+            let slots: Vec<u32> = self
+                .enter(slice)
+                .into_iter()
+                .map(|(_, slot)| slot)
+                .collect();
+            self.settle(&slots, &[]);
             self.slots.tidy();
         }
+    }
+
+    /// Inserts moves of so many bodies each, whose ids are free; what each move adds to those before it is told in their order.
+    pub(super) fn insert_moves(
+        &mut self,
+        bodies: &[(SolidId, Body)],
+        counts: &[usize],
+        mut each: impl FnMut(Added),
+    ) {
+        let (mut bodies, mut counts) = (bodies, counts);
+        while let Some(&first) = counts.first() {
+            let mut slice = 0;
+            let fits = |count: &&usize| {
+                slice += **count;
+                slice <= SLICE
+            };
+            let moves = counts.iter().take_while(fits).count();
+            if moves == 0 {
+                let before = self.measures;
+                self.insert_batch(&bodies[..first]);
+                let mut measures = self.measures;
+                measures.retract(&before);
+                each(Added {
+                    measures,
+                    contact2: None,
+                });
+                (bodies, counts) = (&bodies[first..], &counts[1..]);
+                continue;
+            }
+            let (of_moves, others) = counts.split_at(moves);
+            let (slice, rest) = bodies.split_at(of_moves.iter().sum());
+            self.insert_slice(slice, of_moves)
+                .into_iter()
+                .for_each(&mut each);
+            (bodies, counts) = (rest, others);
+        }
+    }
+
+    /// Inserts moves that are not too many bodies together.
+    fn insert_slice(&mut self, bodies: &[(SolidId, Body)], counts: &[usize]) -> Vec<Added> {
+        let owners = (0..counts.len()).flat_map(|owner| std::iter::repeat_n(owner, counts[owner]));
+        let owners: Vec<usize> = owners.collect();
+        let (owners, slots): (Vec<usize>, Vec<u32>) = self
+            .enter(bodies)
+            .into_iter()
+            .map(|(body, slot)| (owners[body], slot))
+            .unzip();
+        let of_move = owners.chunk_by(|one, other| one == other);
+        let mut from = 0;
+        let moves = of_move.flat_map(|owners| {
+            let ranks = from..from + owners.len();
+            from = ranks.end;
+            std::iter::repeat_n(ranks, owners.len())
+        });
+        let moves: Vec<Range<usize>> = moves.collect();
+        let nothing = Added {
+            measures: Measures::default(),
+            contact2: Some(0),
+        };
+        let mut added = vec![nothing; counts.len()];
+        for (owner, part) in owners.into_iter().zip(self.settle(&slots, &moves)) {
+            let added = &mut added[owner];
+            added.measures.add(&part.measures);
+            added.contact2 = added
+                .contact2
+                .zip(part.contact2)
+                .map(|(one, other)| one + other);
+        }
+        self.slots.tidy();
+        added
     }
 
     /// Enters bodies, and puts their parts that have something in common with the stock among the exposed ones, as they are. For each of
@@ -167,8 +234,9 @@ impl Engine {
     }
 
     /// Evaluates parts that are among the exposed ones as they are, in this order; adds what they add, and puts those that add nothing among
-    /// the covered ones. Returns what each adds to those before it.
-    fn settle(&mut self, slots: &[u32]) -> Vec<Measures> {
+    /// the covered ones. Returns what each adds to those before it; of contact, where the ranks of the move of each are given, its part of that
+    /// of its move.
+    fn settle(&mut self, slots: &[u32], moves: &[Range<usize>]) -> Vec<Added> {
         for &slot in slots {
             self.slots
                 .set_state(slot, State::Exposed(Features::default()));
@@ -180,6 +248,9 @@ impl Engine {
         self.keep_features(&batch, features);
         let found = self.in_parallel(batch.fresh.len(), |engine, worker, rank| {
             engine.evaluate(&batch, worker, rank)
+        });
+        let contacts = self.in_parallel(moves.len(), |engine, worker, rank| {
+            engine.contact(&batch, worker, (rank, &found[rank]), &moves[rank])
         });
         let is_idle = |rank: usize| found[rank].change.is_none();
         let idle: FxHashSet<u32> = (0..found.len())
@@ -205,7 +276,11 @@ impl Engine {
                 self.slots.set_state(fresh.slot, State::Covered(holder));
             }
         }
-        found.iter().map(|found| found.books.union).collect()
+        let added = found.iter().enumerate().map(|(rank, found)| Added {
+            measures: found.books.union,
+            contact2: contacts.get(rank).copied(),
+        });
+        added.collect()
     }
 
     /// Deletes bodies that are there.
@@ -241,7 +316,7 @@ impl Engine {
                 assert!(was_there, "a covered part is in its bin");
                 self.exposed.insert(slot, bounds);
             }
-            self.settle(&bare);
+            self.settle(&bare, &[]);
             self.slots.tidy();
         }
     }
@@ -446,16 +521,37 @@ impl Engine {
     fn evaluate(&self, batch: &Batch, worker: &mut Worker, rank: usize) -> Found {
         let fresh = &batch.fresh[rank];
         let is_before = |slot: u32| batch.rank(slot).is_none_or(|other| other < rank);
-        let others = fresh.around.iter().filter(|other| is_before(other.slot));
+        let marginal = self.among(batch, rank, is_before, |members| worker.marginal(members));
+        let holder = || {
+            let before = fresh.around.iter().filter(|other| is_before(other.slot));
+            let mut holders =
+                before.filter(|other| other.piece.holds(&fresh.piece, worker.arithmetic));
+            holders.next().map(|other| other.slot)
+        };
+        Found {
+            books: marginal.books,
+            change: marginal.change,
+            holder: marginal.change.is_none().then(holder).flatten(),
+        }
+    }
+
+    /// Does something with a fresh part and those around it that count, its features and theirs being live where no other that counts
+    /// dominates them.
+    pub(super) fn among<T>(
+        &self,
+        batch: &Batch,
+        rank: usize,
+        counts: impl Fn(u32) -> bool,
+        task: impl FnOnce(&[Member]) -> T,
+    ) -> T {
+        let others = batch.fresh[rank].around.iter();
+        let others = others.filter(|other| counts(other.slot));
         let placed: Vec<Placed> = std::iter::once(batch.placed(rank))
             .chain(others.map(Neighbour::placed))
             .collect();
         let features = placed.iter().map(|one| {
             let features = self.slots.features(one.slot);
-            (
-                features,
-                features.without_witnesses(|slot| !is_before(slot)),
-            )
+            (features, features.without_witnesses(|slot| !counts(slot)))
         });
         let features: Vec<(&Features, Option<Features>)> = features.collect();
         let members: Vec<Member> = placed
@@ -467,16 +563,7 @@ impl Engine {
                 slot: one.slot,
             })
             .collect();
-        let marginal = worker.marginal(&members);
-        let holder = || {
-            let holds = |one: &&Placed| one.piece.holds(&fresh.piece, worker.arithmetic);
-            placed[1..].iter().find(holds).map(|one| one.slot)
-        };
-        Found {
-            books: marginal.books,
-            change: marginal.change,
-            holder: marginal.change.is_none().then(holder).flatten(),
-        }
+        task(&members)
     }
 
     fn keep_features(&mut self, batch: &Batch, features: Vec<Features>) {

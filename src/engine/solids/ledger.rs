@@ -62,6 +62,7 @@
 use std::sync::Arc;
 
 use ethnum::I256;
+use rustc_hash::FxHashSet;
 use smallvec::{SmallVec, smallvec};
 
 use crate::geometry::EdgeKind;
@@ -211,6 +212,8 @@ pub(super) struct Books {
     pub(super) union: Measures,
     /// Of the rest of the stock; meaningless without a stock.
     pub(super) rest: Measures,
+    /// Of the union in the planes that are watched: twice the area.
+    pub(super) contact2: i128,
 }
 
 /// Volume and moments: the quantities after length and area.
@@ -235,6 +238,8 @@ pub(super) struct Ledger {
     arithmetic: Arithmetic,
     /// The stock, in which all pieces lie.
     stock: Option<Arc<Piece>>,
+    /// The oriented planes in which area is contact.
+    watched: FxHashSet<Plane>,
     near: Vec<u16>,
     entries: Vec<Entry>,
     points: Vec<Point>,
@@ -268,6 +273,7 @@ impl Ledger {
         Self {
             arithmetic,
             stock,
+            watched: FxHashSet::default(),
             near: Vec::new(),
             entries: Vec::new(),
             points: Vec::new(),
@@ -275,6 +281,15 @@ impl Ledger {
             sums: vec![[Wholes::default(); BULK]; CLASSES].into_boxed_slice(),
             flags: Flags::default(),
             flags_kept: Flags::default(),
+        }
+    }
+
+    /// Watches these planes from now on, but for those of the stock.
+    pub(super) fn watch(&mut self, planes: impl Iterator<Item = Plane>) {
+        self.watched.clear();
+        self.watched.extend(planes);
+        for face in self.stock.iter().flat_map(|stock| &stock.faces) {
+            self.watched.remove(&face.plane);
         }
     }
 
@@ -441,6 +456,9 @@ impl Ledger {
                         ends.values[0][index].lane(lane) + ends.values[1][index].lane(lane)
                     };
                     let (length, area) = (both(0), both(1));
+                    if entry.kinds[0] != NOWHERE && self.watched.contains(&entry.plane) {
+                        books.contact2 += area;
+                    }
                     for (book, kind) in entry.kinds.into_iter().enumerate() {
                         lengths[book][usize::from(kind)] += length;
                         areas[book] += if kind == NOWHERE { 0 } else { area };
@@ -461,6 +479,14 @@ impl Ledger {
         self.entries.clear();
         self.points.clear();
         books
+    }
+
+    /// Adds up what was posted in the watched planes alone, and forgets it all: none of it becomes a part of the totals.
+    pub(super) fn settle_contact(&mut self) -> i128 {
+        let flags = self.flags;
+        let contact2 = self.settle().contact2;
+        self.flags = flags;
+        contact2
     }
 
     /// Counts the flags that another ledger rounded as its own, and no longer there.

@@ -104,8 +104,27 @@ impl Kernel {
         self.ledger.forget_flags();
     }
 
-    /// What the first member adds to the union of the others, which are all that touch it.
+    /// What the first member adds to the union of the others, which are all that touch it; contact is what it adds in its own planes.
     pub(super) fn marginal(&mut self, members: &[Member]) -> Marginal {
+        let faces = members[NEW].piece.faces.iter();
+        self.ledger.watch(faces.map(|face| face.plane));
+        self.search(members);
+        let change = self.ledger.room();
+        Marginal {
+            books: self.ledger.settle(),
+            change,
+        }
+    }
+
+    /// Twice the area that the first member adds to the union of the others in these planes.
+    pub(super) fn contact(&mut self, members: &[Member], planes: Vec<Plane>) -> i128 {
+        self.ledger.watch(planes.into_iter());
+        self.search(members);
+        self.ledger.settle_contact()
+    }
+
+    /// Posts what the first member changes.
+    fn search(&mut self, members: &[Member]) {
         let scratch = &mut self.scratch;
         scratch.hints.clear();
         scratch.hints.resize(members.len(), 0);
@@ -124,11 +143,6 @@ impl Kernel {
         };
         search.edges();
         search.crossings();
-        let change = self.ledger.room();
-        Marginal {
-            books: self.ledger.settle(),
-            change,
-        }
     }
 }
 

@@ -34,6 +34,7 @@ mod bins;
 mod body;
 mod certify;
 mod clip;
+mod contact;
 mod contains;
 mod double;
 mod exact;
@@ -69,6 +70,7 @@ use super::Cursor;
 use bins::Bins;
 pub use body::{Body, InvalidBody, PARTS_MAX, Shape, SolidId};
 use certify::Room;
+pub use contact::Added;
 pub use contains::Around;
 use face::Arithmetic;
 use features::Features;
@@ -292,30 +294,39 @@ impl Engine {
         Ok(())
     }
 
-    /// Inserts bodies one after the other, whole or not at all, and says what each adds to the union of those before it. Many of them go on several
-    /// threads: the answers are the same. O(bodies named), each in its neighbourhood.
+    /// Inserts the bodies of moves, one move after the other, whole or not at all, and says what each move adds to the union of those before it. Many
+    /// of them go on several threads: the answers are the same. O(bodies named), each in its neighbourhood.
     /// # Errors
     /// [`Inconsistent`] when an id is not free; then nothing has changed.
     pub fn insert_each(
         &mut self,
-        bodies: Vec<(SolidId, Body)>,
-    ) -> Result<Vec<Measures>, Inconsistent> {
+        moves: Vec<Vec<(SolidId, Body)>>,
+    ) -> Result<Vec<Added>, Inconsistent> {
+        let counts: Vec<usize> = moves.iter().map(Vec::len).collect();
         let effect = Effect {
             deleted: Vec::new(),
-            inserted: bodies,
+            inserted: moves.into_iter().flatten().collect(),
         };
         self.check(&effect)?;
-        let mut added = Vec::with_capacity(effect.inserted.len());
+        let mut added = Vec::with_capacity(counts.len());
         if self.is_batch(&effect.inserted) {
-            self.insert_batch(&effect.inserted, |measures| added.push(measures));
+            self.insert_moves(&effect.inserted, &counts, |one| added.push(one));
             return Ok(added);
         }
-        for (id, body) in &effect.inserted {
-            let before = self.measures;
-            self.insert(*id, body);
-            let mut more = self.measures;
-            more.retract(&before);
-            added.push(more);
+        let mut rest = &effect.inserted[..];
+        for count in counts {
+            let (bodies, others) = rest.split_at(count);
+            rest = others;
+            match bodies {
+                [(id, body)] if body.len() == 1 => {
+                    let before = self.measures;
+                    let contact2 = Some(self.insert(*id, body));
+                    let mut measures = self.measures;
+                    measures.retract(&before);
+                    added.push(Added { measures, contact2 });
+                }
+                _ => self.insert_moves(bodies, &[count], |one| added.push(one)),
+            }
         }
         Ok(added)
     }
@@ -339,7 +350,7 @@ impl Engine {
             self.worker.kernel.forget_flags();
         }
         if self.is_batch(&effect.inserted) {
-            self.insert_batch(&effect.inserted, |_| ());
+            self.insert_batch(&effect.inserted);
         } else {
             for (id, body) in &effect.inserted {
                 self.insert(*id, body);
@@ -374,7 +385,8 @@ impl Engine {
         }
     }
 
-    fn insert(&mut self, id: SolidId, body: &Body) {
+    /// Inserts a body; what its parts add in their own planes, twice, is the contact of a body of one part.
+    fn insert(&mut self, id: SolidId, body: &Body) -> i128 {
         let key = cursor(id);
         let mut slots = SmallVec::new();
         for index in 0..body.len() {
@@ -390,12 +402,14 @@ impl Engine {
             slots: slots.clone(),
         };
         self.bodies.insert(key, entry);
+        let mut contact2 = 0;
         for slot in slots {
             if self.slots.kept(slot).is_some() {
-                self.place(slot);
+                contact2 += self.place(slot);
             }
         }
         self.slots.tidy();
+        contact2
     }
 
     fn delete(&mut self, id: SolidId) {
@@ -458,8 +472,8 @@ impl Engine {
         neighbours
     }
 
-    /// Puts a part that is in no bin among the exposed or the covered ones, and adds what it adds.
-    fn place(&mut self, slot: u32) {
+    /// Puts a part that is in no bin among the exposed or the covered ones, and adds what it adds; answers that of contact.
+    fn place(&mut self, slot: u32) -> i128 {
         let piece = self.piece(slot);
         let neighbours = self.gather(&piece, slot);
         let own = Placed {
@@ -477,7 +491,7 @@ impl Engine {
             self.slots
                 .set_state(slot, State::Covered(alone.map(|other| other.slot)));
             self.covered.insert(slot, piece.bounds());
-            return;
+            return 0;
         }
         self.measures.add(&marginal.books.union);
         self.rest.add(&marginal.books.rest);
@@ -488,6 +502,7 @@ impl Engine {
         }
         self.slots.set_state(slot, State::Exposed(features));
         self.exposed.insert(slot, piece.bounds());
+        marginal.books.contact2
     }
 
     /// Takes a part out of its bin, retracts what it adds, and exposes covered parts that are bare without it.

@@ -125,10 +125,17 @@ impl Material {
         Self(Engine::new().with_stock(blank.stock.clone()))
     }
 
-    /// Removes bodies one after the other, and answers what each removes.
-    pub(super) fn remove(&mut self, bodies: Vec<(SolidId, Body)>) -> Vec<State> {
-        let added = self.0.insert_each(bodies).expect("the ids are new");
-        added.iter().map(state).collect()
+    /// Removes the bodies of moves, one move after the other, and answers what each removes, and its contact in [`AREA_UNITS`] where that is
+    /// known.
+    pub(super) fn remove(
+        &mut self,
+        moves: Vec<Vec<(SolidId, Body)>>,
+    ) -> Vec<(State, Option<i128>)> {
+        let added = self.0.insert_each(moves).expect("the ids are new");
+        let removed = added.iter();
+        removed
+            .map(|added| (state(&added.measures), added.contact2))
+            .collect()
     }
 
     /// How much of the material is in a body. Units: [`VOLUME_UNITS`].

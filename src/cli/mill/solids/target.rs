@@ -162,7 +162,7 @@ impl Target {
                 let (seq, removed, after) = read(&answer).ok_or(
                     "cannot make sense of the server's answer (is it of the same version?)",
                 )?;
-                Ok(vec![told.cut(removed, after, watch.note(seq))])
+                Ok(vec![told.cut(removed, after, watch.note(seq), None)])
             }
             Self::Grpc {
                 stream,
@@ -276,7 +276,7 @@ impl Watch {
             if let Some(cut) = &pass.flutes {
                 match &mut self.material {
                     Some(material) => {
-                        material.remove(vec![(cut.id, cut.carried.body(stroke.line)?)]);
+                        material.remove(vec![vec![(cut.id, cut.carried.body(stroke.line)?)]]);
                     }
                     None => self.so_far.push(cut.clone()),
                 }
@@ -285,7 +285,8 @@ impl Watch {
                 let blank = &self.blank;
                 let material = self.material.get_or_insert_with(|| Material::new(blank));
                 let so_far = self.so_far.drain(..);
-                let so_far = so_far.map(|cut| Ok((cut.id, cut.carried.body(line_of(cut.id))?)));
+                let so_far =
+                    so_far.map(|cut| Ok(vec![(cut.id, cut.carried.body(line_of(cut.id))?)]));
                 material.remove(so_far.collect::<Result<_, String>>()?);
                 hit += material.inside(blunt.body(stroke.line)?);
             }
@@ -307,38 +308,71 @@ impl Watch {
             after,
         } = done;
         let is_alone = self.note(outcome.seq);
-        what.cut(removed, after, is_alone)
+        // A server does not say it.
+        what.cut(removed, after, is_alone, None)
     }
 }
 
 /// Cuts strokes in this process, in their order; what shanks and holders go through is asked in between.
 fn cut_together(material: &mut Material, strokes: &[Stroke]) -> Result<Vec<tally::Cut>, String> {
     let mut after = material.state();
-    let mut done = vec![(State::default(), 0); strokes.len()];
-    let mut bodies: Vec<(usize, (SolidId, solids::Body))> = Vec::new();
-    let cut = |material: &mut Material, bodies: &mut Vec<_>, done: &mut [(State, i128)]| {
-        let (owners, bodies): (Vec<usize>, Vec<_>) = bodies.drain(..).unzip();
-        for (owner, more) in owners.into_iter().zip(material.remove(bodies)) {
-            done[owner].0.add(more);
+    let mut done = vec![Milled::default(); strokes.len()];
+    let mut moves: Vec<(usize, Vec<(SolidId, solids::Body)>)> = Vec::new();
+    let cut = |material: &mut Material, moves: &mut Vec<_>, done: &mut [Milled]| {
+        let (owners, moves): (Vec<usize>, Vec<_>) = moves.drain(..).unzip();
+        for (owner, (more, contact)) in owners.into_iter().zip(material.remove(moves)) {
+            done[owner].add(more, contact);
         }
     };
     for (index, stroke) in strokes.iter().enumerate() {
         for pass in &stroke.passes {
             if let Some(Cut { id, carried }) = &pass.flutes {
-                bodies.push((index, (*id, carried.body(stroke.line)?)));
+                if moves.last().is_none_or(|(owner, _)| *owner != index) {
+                    moves.push((index, Vec::new()));
+                }
+                let (_, bodies) = moves.last_mut().expect("there is one now");
+                bodies.push((*id, carried.body(stroke.line)?));
             }
             if let Some(blunt) = &pass.blunt {
-                cut(material, &mut bodies, &mut done);
-                done[index].1 += material.inside(blunt.body(stroke.line)?);
+                cut(material, &mut moves, &mut done);
+                done[index].hit += material.inside(blunt.body(stroke.line)?);
             }
         }
     }
-    cut(material, &mut bodies, &mut done);
-    let cuts = strokes.iter().zip(done).map(|(stroke, (more, hit))| {
-        after.add(more);
-        Told::of(stroke, hit).cut(more.removed, after, true)
+    cut(material, &mut moves, &mut done);
+    let cuts = strokes.iter().zip(done).map(|(stroke, done)| {
+        after.add(done.more);
+        let contact = done.contact();
+        Told::of(stroke, done.hit).cut(done.more.removed, after, true, contact)
     });
     Ok(cuts.collect())
+}
+
+/// What a stroke did in this process.
+#[derive(Clone, Default)]
+struct Milled {
+    more: State,
+    hit: i128,
+    /// The contact of those of its solids that were cut together and removed something.
+    contacts: Vec<Option<i128>>,
+}
+
+impl Milled {
+    fn add(&mut self, more: State, contact: Option<i128>) {
+        self.more.add(more);
+        if more.removed != 0 {
+            self.contacts.push(contact);
+        }
+    }
+
+    /// Its area of contact. When a question about a holder came between solids that removed something, it is not known.
+    fn contact(&self) -> Option<i128> {
+        match self.contacts[..] {
+            [] => Some(0),
+            [contact] => contact,
+            _ => None,
+        }
+    }
 }
 
 impl Told {
@@ -355,7 +389,13 @@ impl Told {
     }
 
     /// What it did; `is_alone` when nobody else has changed the material.
-    fn cut(&self, removed: i128, after: State, is_alone: bool) -> tally::Cut {
+    fn cut(
+        &self,
+        removed: i128,
+        after: State,
+        is_alone: bool,
+        contact: Option<i128>,
+    ) -> tally::Cut {
         tally::Cut {
             line: self.line,
             kind: self.kind,
@@ -367,6 +407,7 @@ impl Told {
             tool: Some(ToolCut {
                 number: self.tool,
                 hit: (is_alone || !self.is_asked).then_some(self.hit),
+                contact,
             }),
         }
     }
@@ -451,7 +492,7 @@ mod tests {
         };
         for (seq, known) in [(6, true), (7, true), (9, false), (10, false)] {
             let is_alone = watch.note(seq);
-            let hit = |told: Told| told.cut(0, after, is_alone).tool.unwrap().hit;
+            let hit = |told: Told| told.cut(0, after, is_alone, None).tool.unwrap().hit;
             assert_eq!(hit(told(true)), known.then_some(0), "{seq}");
             assert_eq!(hit(told(false)), Some(0), "{seq}");
         }
