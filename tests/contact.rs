@@ -163,10 +163,10 @@ fn contact_of_boxes_is_that_of_unit_faces() {
             let threads = NonZero::new(1 + way / 2).unwrap();
             let mut engine = Engine::new().with_stock(stock).with_threads(threads);
             let added = if way < 2 {
-                let one = |one: Vec<_>| engine.insert_each(vec![one]).unwrap().remove(0);
+                let one = |one: Vec<_>| engine.insert_moves(vec![one]).unwrap().remove(0);
                 moves.into_iter().map(one).collect()
             } else {
-                engine.insert_each(moves).unwrap()
+                engine.insert_moves(moves).unwrap()
             };
             let found: Vec<Option<i128>> = added.iter().map(|added| added.contact2).collect();
             assert_eq!(found, expected, "seed {seed}, way {way}");
@@ -298,7 +298,7 @@ fn contact_of_hulls_is_that_of_facets_cut_by_the_others() {
             let id = SolidId(index as u64);
             let body = Body::solid(one.clone());
             let added = engine
-                .insert_each(vec![vec![(id, body)]])
+                .insert_moves(vec![vec![(id, body)]])
                 .unwrap()
                 .remove(0);
             #[expect(clippy::cast_precision_loss, reason = "of small worlds")]
@@ -366,11 +366,11 @@ fn contact_is_that_of_the_move_whatever_its_parts() {
             let solids = |from: u64, bodies: &[Body]| {
                 (from..).map(SolidId).zip(bodies.iter().cloned()).collect()
             };
-            engine.insert_each(vec![solids(0, &before)]).unwrap();
+            engine.insert_moves(vec![solids(0, &before)]).unwrap();
             let area = |engine: &Engine| engine.totals().remaining.unwrap().area2;
             let old = area(&engine);
             let added = engine
-                .insert_each(vec![solids(100, chords)])
+                .insert_moves(vec![solids(100, chords)])
                 .unwrap()
                 .remove(0);
             // New surface is a part of what the remaining has now, and the rest of that was there before; but for the rounding of flags.

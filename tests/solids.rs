@@ -945,17 +945,14 @@ fn each_body_adds_what_it_adds_to_those_before_it() {
             // Some are there already, and others come in two calls.
             let (first, rest) = bodies.split_at(usize::try_from(below(&mut random, 4)).unwrap());
             batches += u32::from(threads.get() > 1);
-            let single_moves =
-                |bodies: &[(SolidId, Body)]| bodies.iter().map(|body| vec![body.clone()]).collect();
-            let mut found = engine.insert_each(single_moves(first)).unwrap();
-            found.extend(engine.insert_each(single_moves(rest)).unwrap());
-            let found: Vec<Measures> = found.iter().map(|added| added.measures).collect();
+            let mut found = engine.insert_each(first.to_vec()).unwrap();
+            found.extend(engine.insert_each(rest.to_vec()).unwrap());
             let context = format!("family {number}, seed {seed}");
             assert_eq!(found, expected, "{context}");
             assert_eq!(engine.totals(), single.totals(), "{context}");
             // All or none.
             let again = vec![(SolidId(1_000), bodies[0].1.clone()), bodies[1].clone()];
-            assert_eq!(engine.insert_each(vec![again]).unwrap_err().id, bodies[1].0);
+            assert_eq!(engine.insert_each(again).unwrap_err().id, bodies[1].0);
             assert_eq!(engine.totals(), single.totals(), "{context}");
         }
     }

@@ -112,21 +112,25 @@ impl Batch {
 }
 
 impl Engine {
-    /// Inserts bodies whose ids are free.
-    pub(super) fn insert_batch(&mut self, bodies: &[(SolidId, Body)]) {
+    /// Inserts bodies whose ids are free; what each adds to those before it is told in their order.
+    pub(super) fn insert_batch(
+        &mut self,
+        bodies: &[(SolidId, Body)],
+        mut each: impl FnMut(Measures),
+    ) {
         for slice in bodies.chunks(SLICE) {
-            let slots: Vec<u32> = self
-                .enter(slice)
-                .into_iter()
-                .map(|(_, slot)| slot)
-                .collect();
-            self.settle(&slots, &[]);
+            let (owners, slots): (Vec<usize>, Vec<u32>) = self.enter(slice).into_iter().unzip();
+            let mut added = vec![Measures::default(); slice.len()];
+            for (owner, part) in owners.into_iter().zip(self.settle(&slots, &[])) {
+                added[owner].add(&part.measures);
+            }
+            added.into_iter().for_each(&mut each);
             self.slots.tidy();
         }
     }
 
     /// Inserts moves of so many bodies each, whose ids are free; what each move adds to those before it is told in their order.
-    pub(super) fn insert_moves(
+    pub(super) fn insert_batch_of_moves(
         &mut self,
         bodies: &[(SolidId, Body)],
         counts: &[usize],
@@ -142,7 +146,7 @@ impl Engine {
             let moves = counts.iter().take_while(fits).count();
             if moves == 0 {
                 let before = self.measures;
-                self.insert_batch(&bodies[..first]);
+                self.insert_batch(&bodies[..first], |_| ());
                 let mut measures = self.measures;
                 measures.retract(&before);
                 each(Added {

@@ -117,25 +117,63 @@ fn document(form: &StockForm, scale: Scale) -> SolidStockDocument {
 }
 
 /// What is removed from a stock, in this process.
-pub(super) struct Material(Engine);
+pub(super) struct Material {
+    engine: Engine,
+    /// Whether the contact of moves is worked out.
+    says_contact: bool,
+}
 
 impl Material {
     /// The whole stock.
     pub(super) fn new(blank: &Blank) -> Self {
-        Self(Engine::new().with_stock(blank.stock.clone()))
+        Self {
+            engine: Engine::new().with_stock(blank.stock.clone()),
+            says_contact: false,
+        }
+    }
+
+    /// The same, where the contact of moves is worked out if that is wanted.
+    pub(super) fn with_contact(self, says_contact: bool) -> Self {
+        Self {
+            says_contact,
+            ..self
+        }
+    }
+
+    /// Whether the contact of moves is worked out.
+    pub(super) fn says_contact(&self) -> bool {
+        self.says_contact
+    }
+
+    /// Removes bodies one after the other, and answers what each removes.
+    pub(super) fn remove(&mut self, bodies: Vec<(SolidId, Body)>) -> Vec<State> {
+        let added = self.engine.insert_each(bodies).expect("the ids are new");
+        added.iter().map(state).collect()
     }
 
     /// Removes the bodies of moves, one move after the other, and answers what each removes, and its contact in [`AREA_UNITS`] where that is
     /// known.
-    pub(super) fn remove(
+    pub(super) fn remove_moves(
         &mut self,
         moves: Vec<Vec<(SolidId, Body)>>,
     ) -> Vec<(State, Option<i128>)> {
-        let added = self.0.insert_each(moves).expect("the ids are new");
-        let removed = added.iter();
-        removed
-            .map(|added| (state(&added.measures), added.contact2))
-            .collect()
+        if self.says_contact {
+            let added = self.engine.insert_moves(moves).expect("the ids are new");
+            let removed = added.iter();
+            return removed
+                .map(|added| (state(&added.measures), added.contact2))
+                .collect();
+        }
+        let counts: Vec<usize> = moves.iter().map(Vec::len).collect();
+        let mut removed = self
+            .remove(moves.into_iter().flatten().collect())
+            .into_iter();
+        let of_moves = counts.into_iter().map(|count| {
+            let mut sum = State::default();
+            removed.by_ref().take(count).for_each(|more| sum.add(more));
+            (sum, None)
+        });
+        of_moves.collect()
     }
 
     /// How much of the material is in a body. Units: [`VOLUME_UNITS`].
@@ -144,17 +182,17 @@ impl Material {
             deleted: vec![],
             inserted: vec![(NO_SOLID, body)],
         };
-        let (totals, _) = self.0.dry_run(&effect).expect("the id is new");
+        let (totals, _) = self.engine.dry_run(&effect).expect("the id is new");
         totals.measures.volume6 - self.state().removed
     }
 
     /// What is removed by now.
     pub(super) fn state(&self) -> State {
-        state(&self.0.totals().measures)
+        state(&self.engine.totals().measures)
     }
 
     pub(super) fn totals(&self) -> (Totals, ErrorMax) {
-        (self.0.totals(), self.0.error_max())
+        (self.engine.totals(), self.engine.error_max())
     }
 }
 

@@ -259,7 +259,7 @@ impl Run<'_> {
             (None, Some(server)) => Target::grpc(server, &self.wanted, blank).await,
             (None, None) => {
                 self.args.check_scene()?;
-                Ok(Target::here(blank))
+                Ok(Target::here(blank, self.args.contact))
             }
         }
     }

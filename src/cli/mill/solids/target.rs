@@ -80,10 +80,10 @@ pub(super) struct Watch {
 }
 
 impl Target {
-    /// In this process.
-    pub(super) fn here(blank: &Blank) -> Self {
+    /// In this process, with the contact of moves if that is wanted.
+    pub(super) fn here(blank: &Blank, says_contact: bool) -> Self {
         Self::Here {
-            material: Box::new(Material::new(blank)),
+            material: Box::new(Material::new(blank).with_contact(says_contact)),
             waiting: Vec::new(),
             passes: 0,
         }
@@ -276,7 +276,7 @@ impl Watch {
             if let Some(cut) = &pass.flutes {
                 match &mut self.material {
                     Some(material) => {
-                        material.remove(vec![vec![(cut.id, cut.carried.body(stroke.line)?)]]);
+                        material.remove(vec![(cut.id, cut.carried.body(stroke.line)?)]);
                     }
                     None => self.so_far.push(cut.clone()),
                 }
@@ -285,8 +285,7 @@ impl Watch {
                 let blank = &self.blank;
                 let material = self.material.get_or_insert_with(|| Material::new(blank));
                 let so_far = self.so_far.drain(..);
-                let so_far =
-                    so_far.map(|cut| Ok(vec![(cut.id, cut.carried.body(line_of(cut.id))?)]));
+                let so_far = so_far.map(|cut| Ok((cut.id, cut.carried.body(line_of(cut.id))?)));
                 material.remove(so_far.collect::<Result<_, String>>()?);
                 hit += material.inside(blunt.body(stroke.line)?);
             }
@@ -320,7 +319,7 @@ fn cut_together(material: &mut Material, strokes: &[Stroke]) -> Result<Vec<tally
     let mut moves: Vec<(usize, Vec<(SolidId, solids::Body)>)> = Vec::new();
     let cut = |material: &mut Material, moves: &mut Vec<_>, done: &mut [Milled]| {
         let (owners, moves): (Vec<usize>, Vec<_>) = moves.drain(..).unzip();
-        for (owner, (more, contact)) in owners.into_iter().zip(material.remove(moves)) {
+        for (owner, (more, contact)) in owners.into_iter().zip(material.remove_moves(moves)) {
             done[owner].add(more, contact);
         }
     };
@@ -340,9 +339,10 @@ fn cut_together(material: &mut Material, strokes: &[Stroke]) -> Result<Vec<tally
         }
     }
     cut(material, &mut moves, &mut done);
+    let says_contact = material.says_contact();
     let cuts = strokes.iter().zip(done).map(|(stroke, done)| {
         after.add(done.more);
-        let contact = done.contact();
+        let contact = done.contact().filter(|_| says_contact);
         Told::of(stroke, done.hit).cut(done.more.removed, after, true, contact)
     });
     Ok(cuts.collect())
