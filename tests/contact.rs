@@ -214,9 +214,9 @@ fn area(polygon: &Polygon) -> f64 {
     for index in 1..polygon.len().saturating_sub(1) {
         let [a, b] = [polygon[index], polygon[index + 1]]
             .map(|point| [0, 1, 2].map(|axis: usize| point[axis] - polygon[0][axis]));
-        for axis in 0..3 {
+        for (axis, along) in sum.iter_mut().enumerate() {
             let (next, last) = ((axis + 1) % 3, (axis + 2) % 3);
-            sum[axis] += a[next] * b[last] - a[last] * b[next];
+            *along += a[next] * b[last] - a[last] * b[next];
         }
     }
     dot(sum, sum).sqrt() / 2.0
