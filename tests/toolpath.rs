@@ -441,7 +441,8 @@ fn what_is_taken_for_granted_is_said() {
         ["5 spindle"]
     );
     assert_eq!(codes("G21 T1\nG0 X0 Y0 Z0\nG1 X1 F1\nT2\nX2"), ["3 tool"]);
-    assert_eq!(codes("G21 G4 P2000"), ["1 dwell"]);
+    assert_eq!(codes("G21 G4 P120"), ["1 dwell"]);
+    assert_eq!(codes("G21\nG4 P2000"), ["2 dialect"]);
 }
 
 #[test]
@@ -621,6 +622,20 @@ fn dialects_differ_where_controllers_do() {
     in_dialect(Dialect::Haas, "G4 P2.", "2 dwell 2");
     in_dialect(Dialect::Fanuc, "G4 X2", "2 dwell 2");
     in_dialect(Dialect::Marlin, "G4 S2", "2 dwell 2");
+    // Nobody waits for half an hour: without another sign, so many are milliseconds; with one, or a point, they are what they are there.
+    let times = [
+        ("G4 P2000", "dwell 2"),
+        ("N10 G04 P 250", "dwell 0.25"),
+        ("G4 P2000.", "dwell 2000"),
+        ("G4 P120", "dwell 120"),
+        ("(GRBL)\nG4 P2000", "dwell 2000"),
+        ("$X\nG4 P2000", "dwell 2000"),
+    ];
+    for (program, expected) in times {
+        let found = run(program).unwrap();
+        let is_there = found.lines().any(|line| line.ends_with(expected));
+        assert!(is_there, "{program}: {found}");
+    }
     // A dwell by F leaves the feed alone.
     in_dialect(
         Dialect::Mach3,

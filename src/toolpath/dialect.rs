@@ -65,6 +65,9 @@ impl Dialect {
     }
 }
 
+/// A dwell of so many seconds is taken for one of so many milliseconds, when it is a whole number and nothing else says what controller it is for.
+const DWELL_IN_MILLISECONDS: u32 = 250;
+
 /// How many lines are read to guess the dialect.
 const GUESS_LINES: usize = 2_000;
 
@@ -107,7 +110,7 @@ enum Where {
 pub(super) fn guess<'text>(
     lines: impl Iterator<Item = &'text [u8]>,
 ) -> Option<(Dialect, u64, &'static str)> {
-    let mut header = None;
+    let (mut header, mut dwell) = (None, None);
     for (number, line) in (1..).zip(lines.take(GUESS_LINES)) {
         let mut code = Vec::with_capacity(line.len());
         let mut comment = Vec::new();
@@ -124,6 +127,10 @@ pub(super) fn guess<'text>(
         if header.is_none() && is_program_number(&code) {
             header = Some((Dialect::Fanuc, number, "a program number"));
         }
+        if dwell.is_none() && whole_dwell(&code).is_some_and(|time| time >= DWELL_IN_MILLISECONDS) {
+            let sign = "a dwell whose P is too many seconds and a whole number";
+            dwell = Some((Dialect::Fanuc, number, sign));
+        }
         for (sign, place, dialect) in SIGNS {
             let found = match place {
                 Where::Comment => contains(&comment, sign),
@@ -135,7 +142,20 @@ pub(super) fn guess<'text>(
             }
         }
     }
-    header
+    header.or(dwell)
+}
+
+/// The P of a dwell that has no decimal point.
+fn whole_dwell(code: &[u8]) -> Option<u32> {
+    let code = std::str::from_utf8(code).ok()?;
+    let (_, time) = code.split_once("G4P").or_else(|| code.split_once("G04P"))?;
+    let (time, rest) = time.split_at(
+        time.len()
+            - time
+                .trim_start_matches(|digit: char| digit.is_ascii_digit())
+                .len(),
+    );
+    time.parse().ok().filter(|_| !rest.starts_with('.'))
 }
 
 /// `O1234` or `:1234` alone on a line.
