@@ -24,6 +24,7 @@ const KEEP: Keep = Keep {
     revert_changes_max: 0,
     revert_bytes_max: 0,
     snapshot_log_bytes_min: 16 << 20,
+    write_ahead_pages_max: 1000,
 };
 
 type Cubes = BTreeMap<CubeId, Place>;
@@ -290,15 +291,15 @@ fn reopen(path: &Path, keep: Keep) -> Result<(SceneLog, Cubes, Vec<String>), Log
 /// Reopens a log that must be in order and hold what the model does.
 #[track_caller]
 fn check(path: &Path, keep: Keep, model: &Model) -> SceneLog {
-    let (log, cubes, notices) = reopen(path, keep).unwrap();
+    let (mut log, cubes, notices) = reopen(path, keep).unwrap();
     assert_eq!(notices, Vec::<String>::new());
     assert_eq!(log.seq(), Seq(model.seq()));
     assert_eq!(&cubes, model.cubes());
-    check_rows(&log, model).unwrap();
+    check_rows(&mut log, model).unwrap();
     log
 }
 
-fn check_rows(log: &SceneLog, model: &Model) -> Result<(), LogError> {
+fn check_rows(log: &mut SceneLog, model: &Model) -> Result<(), LogError> {
     let history = log.history()?;
     let (oldest, newest) = history.range()?;
     assert_eq!(newest, log.seq());
@@ -499,6 +500,7 @@ fn random_histories_come_back() {
             revert_changes_max: u64::try_from(random.below(30)).unwrap(),
             revert_bytes_max: u64::try_from(random.below(4000)).unwrap(),
             snapshot_log_bytes_min: 16 << 20,
+            write_ahead_pages_max: 1000,
         };
         let (mut log, path) = create(&data, keep);
         let mut model = Model::new();
@@ -537,7 +539,7 @@ fn random_histories_come_back() {
                 }
             }
             assert_eq!(log.seq(), Seq(model.seq()));
-            check_rows(&log, &model).unwrap();
+            check_rows(&mut log, &model).unwrap();
         }
         trim_all(&mut log);
         drop(log);
@@ -842,7 +844,7 @@ impl Crashed {
     fn judge(&self, data: &TempDir, name: &str, content: Option<&[u8]>) -> Outcome {
         let path = self.changed(data, name, content);
         let opened = catch_unwind(AssertUnwindSafe(|| reopen(&path, KEEP)));
-        let (log, cubes, notices) = match opened.expect("damage is no reason to panic") {
+        let (mut log, cubes, notices) = match opened.expect("damage is no reason to panic") {
             Ok(opened) => opened,
             Err(error) => {
                 assert!(
@@ -879,7 +881,7 @@ impl Crashed {
                 "{notices:?}"
             );
         }
-        match check_rows(&log, &self.model) {
+        match check_rows(&mut log, &self.model) {
             Ok(()) | Err(LogError::Damaged { .. }) => {}
             Err(error) => panic!("{error}"),
         }

@@ -80,6 +80,7 @@ async fn times_do_not_go_back_when_the_clock_does() {
         revert_changes_max: 9,
         revert_bytes_max: 9,
         snapshot_log_bytes_min: u64::MAX,
+        write_ahead_pages_max: 1000,
     };
     let mut engine = Engine::new(edge());
     let effect = engine.judge(&insertions(1..2), CUBES_MAX).unwrap().effect;

@@ -839,6 +839,7 @@ async fn the_first_change_whose_totals_differ_is_named() {
         revert_changes_max: u64::MAX,
         revert_bytes_max: u64::MAX,
         snapshot_log_bytes_min: u64::MAX,
+        write_ahead_pages_max: u64::MAX,
     };
     let path = directory.path().join("data/scenes/s");
     let (mut log, _) = SceneLog::open(&path, keep).unwrap();
@@ -1170,6 +1171,7 @@ async fn a_long_log_is_cut_by_a_snapshot_while_changes_go_on() {
         revert_changes_max: 0,
         revert_bytes_max: 0,
         snapshot_log_bytes_min: u64::MAX,
+        write_ahead_pages_max: u64::MAX,
     };
     let (mut log, _) = SceneLog::open(&directory.path().join("data/scenes/s"), keep).unwrap();
     let mut changes = 0;

@@ -2,12 +2,10 @@
 //!
 //! Knows the rows of a snapshot. When one is wanted and what becomes of it is known by `snapshot`.
 
-use rusqlite::Connection;
-
 use super::LogError;
 use super::bytes::count;
 use super::codec::{self, Encoder};
-use super::database::Database;
+use super::database::{Database, Reader};
 use super::kind::{Cubes, Kind};
 use super::tables::{CHUNKS_MAX, Packed, Snapshot, chunk_number};
 use crate::geometry::{CUBES_MAX, CubeId};
@@ -22,7 +20,7 @@ pub(super) struct SnapshotWriter<K: Kind> {
     /// Bodies that do not fill a chunk yet.
     waiting: Vec<(CubeId, K::Body)>,
     /// Reads back what was written: the writer's own connection would answer from its cache.
-    reader: Connection,
+    reader: Reader,
     encoder: Encoder,
     bytes: Vec<u8>,
 }
@@ -113,6 +111,8 @@ impl<K: Kind> SnapshotWriter<K> {
         self.snapshot.cubes += count(chunk.len());
         let stored = self
             .reader
+            .connection()
+            .expect("it is open as long as the database")
             .prepare_cached("SELECT * FROM chunks WHERE id = ?")
             .and_then(|mut statement| {
                 statement.query_row([id.cast_signed()], |row| {

@@ -2,7 +2,21 @@
 //!
 //! Knows how SQLite must be set up so that a commit is durable, and that every transaction moves the superblock. Never knows
 //! what a row means.
+//!
+//! Bytes pass through two places before they are where they stay, and each has its sync:
+//!
+//! ```text
+//!   commit ──> write-ahead file ──sync──> answer ──checkpoint──> database file ──sync──> the write-ahead file is begun anew
+//! ```
+//! A sync that fails is not made good by another one: the kernel then holds bytes for written that can be read and are not on the disk.
+//! So closing after an error moves nothing into the database, and closes all connections. Whoever opens it next takes nothing for
+//! durable that was only read: [`Database::settle`] writes the whole write-ahead file again and syncs it, and only then lets SQLite move
+//! it, from its first page on. (A transaction that failed lies behind what is durable, and the next one is written over it.)
 
+use std::io;
+use std::sync::{Arc, Weak};
+
+use parking_lot::{MappedMutexGuard, Mutex, MutexGuard};
 use rusqlite::config::DbConfig;
 use rusqlite::{Connection, OpenFlags, Transaction, TransactionBehavior};
 
@@ -10,6 +24,7 @@ use super::bytes::count;
 use super::files::{APPLICATION_ID, CommitMarker, CommitMarkerFile, Site};
 use super::kind::Kind;
 use super::tables::{Definitions, Meta, Seal, Superblock, tables};
+use super::wal;
 use super::{LogError, Seq};
 
 /// SQLite cuts its write-ahead file down to this when it begins it anew.
@@ -24,7 +39,17 @@ pub(super) struct Database {
     pub(super) seal: Seal,
     pub(super) superblock: Superblock,
     commit_marker: CommitMarkerFile,
+    page_size: usize,
+    /// Whether all that was found at opening is durable.
+    settled: bool,
+    /// Pages of the write-ahead file that are not in the database yet, as of the last commit; 0 from a checkpoint to the next commit.
+    unmoved_pages: u64,
+    readers: Vec<Weak<Mutex<Option<Connection>>>>,
 }
+
+/// A connection that only reads. It is closed with the writer's: as long as one is open SQLite goes by what it noted of the
+/// write-ahead file before an error, instead of looking at the file anew.
+pub(super) struct Reader(Arc<Mutex<Option<Connection>>>);
 
 impl Database {
     /// Fills an empty directory with the database of a scene without changes, and closes it.
@@ -65,7 +90,7 @@ impl Database {
         };
         build().map_err(site.sqlite(Seq(0)))?;
         check_settings(site, &connection, Seq(0))?;
-        // Closing moves everything into the database file and syncs it.
+        // Closing moves everything into the database file and syncs it; where that fails, it is durable in the write-ahead file.
         connection
             .close()
             .map_err(|(_, error)| site.sqlite(Seq(0))(error))?;
@@ -77,7 +102,7 @@ impl Database {
     }
 
     /// Opens the database of a scene and checks everything but its rows.
-    pub(super) fn open<K: Kind>(site: Site) -> Result<(Self, Meta<K>), LogError> {
+    pub(super) fn open<K: Kind>(site: Site, page_size: usize) -> Result<(Self, Meta<K>), LogError> {
         let seq = site.marked_seq();
         let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let connection = Connection::open_with_flags(&site.database, flags);
@@ -94,7 +119,8 @@ impl Database {
             .map_err(|error| site.damaged(seq, format_args!("its settings: {error}")))?;
         let seal = meta.seal();
         let superblock = read_superblock(&site, &connection, seal, seq)?;
-        // SQLite has made its write-ahead file by now, and does not mind when the file's name cannot be synced.
+        // SQLite has made its write-ahead file by now, and does not mind when the file's name cannot be synced. A scene whose
+        // removal failed has its own name back, and nobody has synced that.
         site.sync_names().map_err(|error| site.io(&error))?;
         let commit_marker = CommitMarkerFile::open(&site).map_err(|error| site.io(&error))?;
         let database = Self {
@@ -103,6 +129,10 @@ impl Database {
             seal,
             superblock,
             commit_marker,
+            page_size,
+            settled: false,
+            unmoved_pages: 0,
+            readers: Vec::new(),
         };
         Ok((database, meta))
     }
@@ -113,6 +143,10 @@ impl Database {
         &mut self,
         work: impl FnOnce(&Connection, Seal, &mut Superblock) -> rusqlite::Result<()>,
     ) -> Result<(), LogError> {
+        assert!(
+            self.settled,
+            "nothing is written on what may not be durable"
+        );
         let mut superblock = self.superblock;
         superblock.generation += 1;
         let commit = || {
@@ -123,51 +157,126 @@ impl Database {
             superblock.write(&transaction, self.seal)?;
             transaction.commit()
         };
-        commit().map_err(self.site.sqlite(self.superblock.seq))?;
+        let committed = commit();
+        self.outcome(committed)?;
         self.superblock = superblock;
         self.mark();
+        // When SQLite does not say, the next commit asks again.
+        if let Ok((pages, moved)) = self.pages() {
+            self.unmoved_pages = pages - moved;
+        }
         Ok(())
     }
 
     /// Notes outside the database how far it has come.
-    pub(super) fn mark(&mut self) {
+    fn mark(&mut self) {
         // A marker that stays behind only says less; the change itself is on stable storage.
         drop(self.commit_marker.write(marker(&self.superblock)));
     }
 
-    /// Moves the write-ahead file into the database, once its rows are known to be right, and from now on whenever the log is closed.
-    ///
-    /// After it all that the log stands on is durable, and known to be. Before it that need not be so: a sync that failed may have left
-    /// frames in memory that can be read and are not on the disk, and no later sync of that file writes them. What is appended
-    /// behind such a hole would be lost with it.
-    pub(super) fn checkpoint(&mut self) -> Result<(), LogError> {
-        let checkpoint = || {
-            self.connection
-                .set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, false)?;
-            self.connection
-                .query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |row| {
-                    row.get::<_, bool>(0)
-                })
-        };
-        let busy = checkpoint().map_err(self.site.sqlite(self.superblock.seq))?;
-        if busy {
-            return Err(self
-                .site
-                .failed("SQLite's write-ahead file is still being read"));
+    /// Makes all that can be read durable, and known to be, once its rows are known to be right. Before it that need not be so, and what is
+    /// appended behind bytes that are not on the disk would be lost with them; so it comes before the first transaction.
+    pub(super) fn settle(&mut self) -> Result<(), LogError> {
+        if self.settled {
+            return Ok(());
         }
+        let site = self.site.clone();
+        let sqlite = site.sqlite(self.superblock.seq);
+        let io = |error: io::Error| site.io(&error);
+        let still_read = || site.failed("SQLite's write-ahead file is still being read");
+        // Before SQLite moves any of it: a page that reached the database would be newer than a write-ahead file with a hole.
+        let rewritten = wal::rewrite(&site.write_ahead(), self.page_size).map_err(io)?;
+        if self.pages().map_err(&sqlite)? != (rewritten, 0) {
+            // SQLite goes by what it noted before, on behalf of a connection that is still open.
+            return Err(still_read());
+        }
+        let is_busy = self
+            .connection
+            .query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |row| row.get(0));
+        if is_busy.map_err(&sqlite)? {
+            return Err(still_read());
+        }
+        // SQLite does not sync that it has emptied the file, and what was in it must not come back.
+        site.sync_write_ahead().map_err(io)?;
+        self.connection
+            .set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, false)
+            .map_err(&sqlite)?;
+        self.settled = true;
         self.mark();
         Ok(())
     }
 
-    /// A connection that only reads.
-    pub(super) fn reader(&self) -> Result<Connection, LogError> {
+    /// Moves pages from the write-ahead file into the database, as far as nobody reads them there: when that is all of them, the next
+    /// transaction begins the file anew. SQLite does so by itself, too, unless told otherwise, and does not say when it fails.
+    pub(super) fn checkpoint(&mut self) -> Result<(), LogError> {
+        let moved = self
+            .connection
+            .query_row("PRAGMA wal_checkpoint(PASSIVE)", [], |_| Ok(()));
+        self.outcome(moved).map_err(|error| match error {
+            LogError::Failed { path, cause } => LogError::Failed {
+                path,
+                cause: format!("SQLite's write-ahead file cannot be moved into it: {cause}"),
+            },
+            error => error,
+        })?;
+        self.unmoved_pages = 0;
+        Ok(())
+    }
+
+    /// Pages of the write-ahead file that were not in the database at the last commit; 0 since the last checkpoint.
+    pub(super) fn unmoved_pages(&self) -> u64 {
+        self.unmoved_pages
+    }
+
+    /// Pages of whole transactions that the write-ahead file holds, and how many of them are in the database as well.
+    fn pages(&self) -> rusqlite::Result<(u64, u64)> {
+        self.connection
+            .prepare_cached("PRAGMA wal_checkpoint(NOOP)")?
+            .query_row([], |row| {
+                let pages = [row.get::<_, u32>(1)?, row.get(2)?];
+                Ok((pages[0].into(), pages[1].into()))
+            })
+    }
+
+    /// What a write has come to. After an error closing must not touch the files.
+    fn outcome<T>(&self, outcome: rusqlite::Result<T>) -> Result<T, LogError> {
+        outcome.map_err(|error| {
+            self.connection
+                .set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true)
+                .expect("a switch in memory");
+            self.site.sqlite(self.superblock.seq)(error)
+        })
+    }
+
+    /// A connection that only reads, until this one is dropped.
+    pub(super) fn reader(&mut self) -> Result<Reader, LogError> {
         let open = || {
             let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
             let connection = Connection::open_with_flags(&self.site.database, flags)?;
             configure(&connection)?;
             Ok(connection)
         };
-        open().map_err(self.site.sqlite(self.superblock.seq))
+        let connection = open().map_err(self.site.sqlite(self.superblock.seq))?;
+        let connection = Arc::new(Mutex::new(Some(connection)));
+        self.readers.retain(|reader| reader.strong_count() > 0);
+        self.readers.push(Arc::downgrade(&connection));
+        Ok(Reader(connection))
+    }
+}
+
+impl Drop for Database {
+    fn drop(&mut self) {
+        // Waits for those who are reading. The writer's own connection comes last: only the last one moves the write-ahead file.
+        for reader in self.readers.iter().filter_map(Weak::upgrade) {
+            reader.lock().take();
+        }
+    }
+}
+
+impl Reader {
+    /// The connection, for one at a time; none once it is closed.
+    pub(super) fn connection(&self) -> Option<MappedMutexGuard<'_, Connection>> {
+        MutexGuard::try_map(self.0.lock(), Option::as_mut).ok()
     }
 }
 
@@ -204,6 +313,8 @@ fn configure_writer(connection: &Connection) -> rusqlite::Result<()> {
     connection.pragma_update(None, "fullfsync", true)?;
     connection.pragma_update(None, "checkpoint_fullfsync", true)?;
     connection.pragma_update(None, "journal_mode", "WAL")?;
+    // SQLite would drop the error of a checkpoint of its own.
+    connection.pragma_update(None, "wal_autocheckpoint", 0)?;
     connection.pragma_update(None, "journal_size_limit", JOURNAL_SIZE_LIMIT)
 }
 

@@ -24,6 +24,9 @@ pub const TEMPORARY_PREFIX: &str = ".union3d-temporary-";
 /// Written into the header of every database file: "un3d".
 pub(super) const APPLICATION_ID: i32 = 0x756e_3364;
 
+/// Bytes that show whether there is room at all.
+const TRIAL_BYTES_MIN: u64 = 1 << 16;
+
 const MAGIC: &[u8; 16] = b"SQLite format 3\0";
 const HEADER_SIZE: usize = 100;
 
@@ -54,9 +57,18 @@ impl Site {
         self.directory.join("acknowledged")
     }
 
-    /// Makes the names of the files durable.
+    /// Makes the names of the files durable, and that of their directory.
     pub(super) fn sync_names(&self) -> io::Result<()> {
-        sync_directory(&self.directory)
+        sync_directory(&self.directory)?;
+        sync_directory(parent(&self.directory))
+    }
+
+    /// Makes the write-ahead file durable as it is, its length with it.
+    pub(super) fn sync_write_ahead(&self) -> io::Result<()> {
+        OpenOptions::new()
+            .write(true)
+            .open(self.write_ahead())?
+            .sync_all()
     }
 
     /// Bytes of all files.
@@ -134,15 +146,23 @@ impl Site {
 
     /// Whether a new file finds no room: SQLite does not say what its I/O errors were.
     fn is_full(&self) -> bool {
-        let tried = self.try_to_write();
+        let tried = self.try_to_write(TRIAL_BYTES_MIN);
         tried.is_err_and(|error| matches!(self.io(&error), LogError::Full { .. }))
     }
 
+    /// Writes as many bytes beside the database as moving the write-ahead file into it may take, and syncs them.
+    pub(super) fn probe(&self) -> io::Result<()> {
+        let unmoved = match fs::metadata(self.write_ahead()) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => 0,
+            metadata => metadata?.len(),
+        };
+        self.try_to_write(unmoved.max(TRIAL_BYTES_MIN))
+    }
+
     /// Writes and syncs a nameless file beside the database.
-    pub(super) fn try_to_write(&self) -> io::Result<()> {
-        const TRIAL_BYTES: usize = 1 << 16;
+    fn try_to_write(&self, size: u64) -> io::Result<()> {
         let mut file = tempfile::tempfile_in(&self.directory)?;
-        file.write_all(&vec![1; TRIAL_BYTES])?;
+        io::copy(&mut io::repeat(1).take(size), &mut file)?;
         file.sync_all()
     }
 
@@ -307,10 +327,16 @@ pub(super) fn create_whole(
 /// Removes the directory of a scene, so that a crash leaves it whole or gone. Answers what kept its space from being given
 /// back, if anything did: [`remove_leftovers`] does that later.
 /// # Errors
-/// The file system's; the scene is then still there.
+/// The file system's; the scene is then still there, and durably so once its log has been opened again.
 pub fn remove_scene(directory: &Path) -> io::Result<Option<io::Error>> {
     let temporary = temporary_sibling(directory, "remove")?;
-    fs::rename(directory, &temporary)?;
+    match fs::rename(directory, &temporary) {
+        // An earlier removal failed in the middle, and could not be taken back.
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {
+            return sync_directory(parent(directory)).map(|()| None);
+        }
+        renamed => renamed?,
+    }
     if let Err(error) = sync_directory(parent(directory)) {
         // After a power failure the scene would be back, so it is not gone now either.
         fs::rename(&temporary, directory)?;
@@ -347,20 +373,32 @@ pub fn remove_leftovers(data: &Path) -> io::Result<()> {
 }
 
 /// Creates a directory and those above it that are not there. Durably: also the names of those that are there already,
-/// which a server that died may have made and not synced.
+/// which a server may have made that died or failed before it had synced them.
 /// # Errors
-/// The file system's; but not that a directory which was there before cannot be synced.
+/// The file system's; but not that a directory which was there before is none that can be synced at all.
 pub fn create_directories(path: &Path) -> io::Result<()> {
     let above = || path.ancestors().skip(1);
     let missing = above().take_while(|above| !above.exists()).count();
     fs::create_dir_all(path)?;
     for (index, directory) in above().enumerate() {
         match sync_directory(or_here(directory)) {
-            Err(error) if index <= missing => return Err(error),
-            _ => {}
+            Err(error) if index > missing && is_never_synced(&error) => {}
+            synced => synced?,
         }
     }
     Ok(())
+}
+
+/// Whether a directory cannot be synced whatever its disk does, so that no name in it is ours: it is somebody else's, or its file
+/// system knows no syncs.
+fn is_never_synced(error: &io::Error) -> bool {
+    matches!(
+        error.kind(),
+        io::ErrorKind::PermissionDenied
+            | io::ErrorKind::ReadOnlyFilesystem
+            | io::ErrorKind::InvalidInput
+            | io::ErrorKind::Unsupported
+    )
 }
 
 /// Makes the names in a directory durable.

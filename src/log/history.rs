@@ -4,18 +4,20 @@
 
 use std::fmt;
 
+use parking_lot::MappedMutexGuard;
 use rusqlite::{Connection, Transaction};
 
-use super::database::read_superblock;
+use super::database::{Reader, read_superblock};
 use super::files::Site;
 use super::kind::{Cubes, Kind};
 use super::tables::{Changes, Seal, Superblock, ordered};
 use super::{HistoryRow, LogError, Motion, Seq};
 
-/// A scene's history, on a connection of its own: reading never waits for the writer.
+/// A scene's history, on a connection of its own: reading never waits for the writer, but the log, when it is dropped, for who is reading.
+/// Nothing can be read after that.
 pub struct HistoryReader<K: Kind = Cubes> {
     site: Site,
-    connection: Connection,
+    reader: Reader,
     seal: Seal,
     /// The totals of the empty scene.
     nothing: K::Totals,
@@ -34,14 +36,14 @@ impl<K: Kind> fmt::Debug for HistoryReader<K> {
 impl<K: Kind> HistoryReader<K> {
     pub(super) fn new(
         site: Site,
-        connection: Connection,
+        reader: Reader,
         seal: Seal,
         nothing: K::Totals,
         created_ms: u64,
     ) -> Self {
         Self {
             site,
-            connection,
+            reader,
             seal,
             nothing,
             created_ms,
@@ -52,7 +54,8 @@ impl<K: Kind> HistoryReader<K> {
     /// # Errors
     /// [`LogError::Damaged`] when the log is.
     pub fn range(&self) -> Result<(Seq, Seq), LogError> {
-        let (_, superblock) = self.moment()?;
+        let connection = self.connection()?;
+        let (_, superblock) = self.moment(&connection)?;
         Ok((oldest(&superblock), superblock.seq))
     }
 
@@ -67,7 +70,8 @@ impl<K: Kind> HistoryReader<K> {
     /// # Errors
     /// [`LogError::Damaged`] when a row is missing or not what was written.
     pub fn rows(&self, from: Seq, to: Seq, limit: usize) -> Result<Vec<HistoryRow<K>>, LogError> {
-        let (_transaction, superblock) = self.moment()?;
+        let connection = self.connection()?;
+        let (moment, superblock) = self.moment(&connection)?;
         let first = from.max(oldest(&superblock));
         let last = to.min(superblock.seq);
         let mut rows = Vec::new();
@@ -79,7 +83,7 @@ impl<K: Kind> HistoryReader<K> {
         }
         let limit = u64::try_from(limit).expect("a count fits 64 bits");
         let end = last.0.saturating_add(1).min(first.0.saturating_add(limit));
-        self.read(first.0.max(1), end, &mut rows)?;
+        self.read(&moment, first.0.max(1), end, &mut rows)?;
         Ok(rows)
     }
 
@@ -95,11 +99,11 @@ impl<K: Kind> HistoryReader<K> {
     ) -> Result<Vec<HistoryRow<K>>, LogError> {
         /// Of so many rows the order by seq is quickly made from the index by move; of more, the table is read in its order.
         const INDEXED_ROWS_MAX: i64 = 8_192;
-        let (_transaction, superblock) = self.moment()?;
+        let connection = self.connection()?;
+        let (moment, superblock) = self.moment(&connection)?;
         let sqlite = self.site.sqlite(from);
         let [first, last] = moves.map(ordered);
-        let found: i64 = self
-            .connection
+        let found: i64 = moment
             .prepare_cached(
                 "SELECT count(*) FROM (SELECT 1 FROM changes INDEXED BY changes_by_move \
                  WHERE move BETWEEN ?1 AND ?2 LIMIT ?3)",
@@ -116,7 +120,7 @@ impl<K: Kind> HistoryReader<K> {
         let sql = format!(
             "SELECT * FROM changes {index} WHERE move BETWEEN ?1 AND ?2 AND seq BETWEEN ?3 AND ?4 ORDER BY seq LIMIT ?5"
         );
-        let mut statement = self.connection.prepare_cached(&sql).map_err(&sqlite)?;
+        let mut statement = moment.prepare_cached(&sql).map_err(&sqlite)?;
         let limit = i64::try_from(limit).unwrap_or(i64::MAX);
         let ends =
             [from.max(oldest(&superblock)), to.min(superblock.seq)].map(|seq| seq.0.cast_signed());
@@ -133,10 +137,15 @@ impl<K: Kind> HistoryReader<K> {
     }
 
     /// Appends every change from `first` to before `end`, all of which are kept.
-    fn read(&self, first: u64, end: u64, to: &mut Vec<HistoryRow<K>>) -> Result<(), LogError> {
+    fn read(
+        &self,
+        moment: &Connection,
+        first: u64,
+        end: u64,
+        to: &mut Vec<HistoryRow<K>>,
+    ) -> Result<(), LogError> {
         let sqlite = self.site.sqlite(Seq(first));
-        let mut statement = self
-            .connection
+        let mut statement = moment
             .prepare_cached("SELECT * FROM changes WHERE seq >= ? AND seq < ? ORDER BY seq")
             .map_err(&sqlite)?;
         let mut rows = statement
@@ -163,13 +172,20 @@ impl<K: Kind> HistoryReader<K> {
     }
 
     /// One moment of the log: until the transaction is dropped, all that is read is as of its superblock.
-    fn moment(&self) -> Result<(Transaction<'_>, Superblock), LogError> {
-        let transaction = self
-            .connection
+    fn moment<'a>(
+        &self,
+        connection: &'a Connection,
+    ) -> Result<(Transaction<'a>, Superblock), LogError> {
+        let transaction = connection
             .unchecked_transaction()
             .map_err(self.site.sqlite(Seq(0)))?;
-        let superblock = read_superblock(&self.site, &self.connection, self.seal, Seq(0))?;
+        let superblock = read_superblock(&self.site, connection, self.seal, Seq(0))?;
         Ok((transaction, superblock))
+    }
+
+    fn connection(&self) -> Result<MappedMutexGuard<'_, Connection>, LogError> {
+        let connection = self.reader.connection();
+        connection.ok_or_else(|| self.site.failed("the log was closed meanwhile"))
     }
 
     fn empty_scene(&self) -> HistoryRow<K> {

@@ -212,6 +212,8 @@ pub struct Keep {
     pub revert_bytes_max: u64,
     /// A log shorter than this since its last snapshot is replayed in a moment: it wants none.
     pub snapshot_log_bytes_min: u64,
+    /// Pages of SQLite's write-ahead file from which on they are moved into the database.
+    pub write_ahead_pages_max: u64,
 }
 
 /// One row of the history.

@@ -35,7 +35,7 @@ impl<K: Kind> Log<K> {
             self.replay_snapshot(snapshot, &mut progress, visit)?;
         }
         self.replay_changes(&mut progress, visit)?;
-        self.database.checkpoint()?;
+        self.database.settle()?;
         progress.finish();
         Ok(())
     }

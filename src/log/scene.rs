@@ -83,7 +83,7 @@ impl<K: Kind> Log<K> {
             Database::create::<K>(&Site::new(temporary), &meta, definitions)
         })?;
         let (mut log, _) = Self::open(directory, keep)?;
-        log.database.checkpoint()?;
+        log.database.settle()?;
         Ok(log)
     }
 
@@ -106,7 +106,7 @@ impl<K: Kind> Log<K> {
             ));
         }
         let commit_marker = site.commit_marker();
-        let (database, meta) = Database::open::<K>(site)?;
+        let (database, meta) = Database::open::<K>(site, page_size)?;
         let (site, superblock) = (&database.site, &database.superblock);
         if write_ahead != WriteAhead::Empty
             && generation_without_write_ahead(site, database.seal)
@@ -271,13 +271,26 @@ impl<K: Kind> Log<K> {
         }
     }
 
-    /// Writes and syncs something beside the log: shows that the disk takes writes again, before the log is read. The log itself
-    /// must not be written before a replay has made durable what it stands on.
+    /// Writes and syncs something beside the log: shows that the disk takes writes again, and has the room that the end of a replay
+    /// needs, before the log is read. The log itself must not be written before a replay has made durable what it stands on.
     /// # Errors
     /// The disk's.
     pub fn probe(&self) -> Result<(), LogError> {
         let site = &self.database.site;
-        site.try_to_write().map_err(|error| site.io(&error))
+        site.probe().map_err(|error| site.io(&error))
+    }
+
+    /// Whether SQLite's write-ahead file has grown so long that [`Self::checkpoint`] should shorten it. No I/O.
+    pub fn wants_checkpoint(&self) -> bool {
+        self.database.unmoved_pages() >= self.keep.write_ahead_pages_max
+    }
+
+    /// Moves what SQLite's write-ahead file holds into the database, so that the file does not grow for ever. Nothing that was appended
+    /// depends on it.
+    /// # Errors
+    /// The disk's. The log must then be opened and replayed anew before it is written: what was moved may be on the disk in parts.
+    pub fn checkpoint(&mut self) -> Result<(), LogError> {
+        self.database.checkpoint()
     }
 
     /// Bytes on disk.
@@ -285,10 +298,10 @@ impl<K: Kind> Log<K> {
         self.database.site.size_bytes()
     }
 
-    /// A reader of the history.
+    /// A reader of the history, for as long as the log is open.
     /// # Errors
     /// The disk's.
-    pub fn history(&self) -> Result<HistoryReader<K>, LogError> {
+    pub fn history(&mut self) -> Result<HistoryReader<K>, LogError> {
         Ok(HistoryReader::new(
             self.database.site.clone(),
             self.database.reader()?,
@@ -485,6 +498,7 @@ mod tests {
         revert_changes_max: 0,
         revert_bytes_max: 0,
         snapshot_log_bytes_min: 1 << 24,
+        write_ahead_pages_max: 1000,
     };
 
     fn record(seq: u64, cubes: u64) -> Record {

@@ -2,7 +2,7 @@
 //!
 //! SQLite recovers by reading frames until one does not fit and silently forgets the rest. That is right for a torn end,
 //! which nobody was promised, and wrong for damage in the middle, behind which there are changes that were acknowledged.
-//! This module tells the two apart. It knows the file's format and nothing of what is in its pages; it never writes.
+//! This module tells the two apart. It knows the file's format and nothing of what is in its pages; what it writes it has read there.
 //!
 //! ```text
 //! header 32   magic  version  page size  checkpoint  salt 1  salt 2  checksum of the first 24 bytes
@@ -13,8 +13,8 @@
 //! # Source
 //! <https://sqlite.org/fileformat2.html#the_write_ahead_log>
 
-use std::fs::File;
-use std::io::{self, BufReader, Read};
+use std::fs::{File, OpenOptions};
+use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
 use std::path::Path;
 
 const HEADER_SIZE: usize = 32;
@@ -85,6 +85,46 @@ pub(super) fn inspect_bytes(file: &mut impl Read, page_size: usize) -> io::Resul
     }
     walk.end(&frame[..frame_read]);
     Ok(walk.verdict(frame.len()))
+}
+
+/// Writes what SQLite takes in of the file at `path` again, every byte where it is, and syncs it: then it is durable, whatever came of
+/// earlier syncs. Answers the frames of whole transactions. A power cut meanwhile does no harm: each sector
+/// holds what it held, or what was read of it.
+/// # Errors
+/// The file cannot be read, written or synced.
+pub(super) fn rewrite(path: &Path, page_size: usize) -> io::Result<u64> {
+    let mut file = OpenOptions::new().read(true).write(true).open(path)?;
+    let frames = rewrite_frames(&mut file, page_size)?;
+    file.sync_all()?;
+    Ok(frames)
+}
+
+/// Each frame is compared with its checksum before: what was read wrongly must not be written.
+fn rewrite_frames(file: &mut (impl Read + Write + Seek), page_size: usize) -> io::Result<u64> {
+    let mut header = [0; HEADER_SIZE];
+    if fill(file, &mut header)? < HEADER_SIZE {
+        return Ok(0);
+    }
+    let Some(parsed) = Header::parse(&header, page_size) else {
+        return Ok(0);
+    };
+    file.seek(SeekFrom::Start(0))?;
+    file.write_all(&header)?;
+    let mut walk = Walk::new(parsed);
+    let mut frame = vec![0; FRAME_HEADER_SIZE + page_size];
+    loop {
+        let place = file.stream_position()?;
+        if fill(file, &mut frame)? < frame.len() {
+            break;
+        }
+        walk.step(&frame);
+        if walk.broken {
+            break;
+        }
+        file.seek(SeekFrom::Start(place))?;
+        file.write_all(&frame)?;
+    }
+    Ok(walk.committed)
 }
 
 /// Fills `buffer` as far as the file goes.

@@ -3,7 +3,6 @@
 use std::sync::Arc;
 
 use arc_swap::ArcSwap;
-use parking_lot::Mutex;
 use tokio::sync::watch;
 
 use super::Published;
@@ -16,7 +15,7 @@ pub(super) struct Feed<K: SceneKind> {
     pub(super) set: BodySet<K>,
     pub(super) newest: ArcSwap<Published<K>>,
     pub(super) updates: watch::Sender<Published<K>>,
-    pub(super) history: Mutex<HistoryReader<K>>,
+    pub(super) history: HistoryReader<K>,
     /// What bodies stand on, as far as it is durable.
     pub(super) context: ArcSwap<K::Context>,
 }
@@ -32,7 +31,7 @@ impl<K: SceneKind> Feed<K> {
             set: BodySet::new(engine, published),
             newest: ArcSwap::from_pointee(*published),
             updates: watch::Sender::new(*published),
-            history: Mutex::new(history),
+            history,
             context: ArcSwap::from_pointee(context.clone()),
         }
     }

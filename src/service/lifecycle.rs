@@ -170,6 +170,7 @@ pub(super) fn keep(config: &ServiceConfig) -> Keep {
         idempotency_keys_max: config.idempotency_keys_max,
         revert_changes_max: config.revert_changes_max,
         revert_bytes_max: config.revert_bytes_max,
+        write_ahead_pages_max: config.write_ahead_pages_max,
     }
 }
 

@@ -21,6 +21,7 @@ const STOPS: &str = "union3d_scene_stops_total";
 const RECOVERIES: &str = "union3d_recoveries_total";
 const RECOVERY: &str = "union3d_recovery_seconds";
 const SNAPSHOTS: &str = "union3d_snapshots_total";
+const CHECKPOINT_FAILURES: &str = "union3d_checkpoint_failures_total";
 
 /// Describes the metrics to the recorder that is installed. Call it once, after installing.
 pub fn describe_metrics() {
@@ -46,6 +47,10 @@ pub fn describe_metrics() {
     );
     describe_histogram!(RECOVERY, Unit::Seconds, "Time of one replay");
     describe_counter!(SNAPSHOTS, "Snapshots written");
+    describe_counter!(
+        CHECKPOINT_FAILURES,
+        "Times a scene stopped because its write-ahead file could not be moved into its database"
+    );
 }
 
 /// A count as a gauge takes it: a queue is never as long as that.
@@ -87,6 +92,10 @@ pub(super) fn scene_stopped() {
 pub(super) fn recovered(time: Duration) {
     counter!(RECOVERIES).increment(1);
     histogram!(RECOVERY).record(time);
+}
+
+pub(super) fn checkpoint_failed() {
+    counter!(CHECKPOINT_FAILURES).increment(1);
 }
 
 pub(super) fn snapshot_written() {

@@ -78,6 +78,8 @@ pub struct ServiceConfig {
     pub snapshot_log_bytes_min: u64,
     /// Cubes of a snapshot that are read and written between two groups: the default takes a few milliseconds.
     pub snapshot_step_cubes: usize,
+    /// Pages of 4 KiB in a scene's write-ahead file from which on they are moved into its database.
+    pub write_ahead_pages_max: u64,
     /// How long a stopped scene waits between two tries of the disk.
     pub probe_interval: Duration,
     /// Most cubes of a scene.
@@ -356,6 +358,7 @@ impl ServiceConfig {
             revert_bytes_max: 1 << 30,
             snapshot_log_bytes_min: 16 << 20,
             snapshot_step_cubes: 1 << 16,
+            write_ahead_pages_max: 1000,
             probe_interval: Duration::from_secs(1),
             scene_cubes_max: CUBES_MAX,
             replays_max: 2,

@@ -145,6 +145,7 @@ fn audit_of<K: SceneKind>(
         revert_changes_max: u64::MAX,
         revert_bytes_max: u64::MAX,
         snapshot_log_bytes_min: u64::MAX,
+        write_ahead_pages_max: u64::MAX,
     };
     let (mut log, notices) = Log::<K>::open(directory, keep)?;
     let records = log.verify(&mut |permille| progress(permille / 2))?;

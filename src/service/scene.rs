@@ -362,7 +362,7 @@ impl<K: SceneKind> SceneOf<K> {
         read: impl FnOnce(&HistoryReader<K>) -> Result<T, LogError> + Send + 'static,
     ) -> Result<T, ServiceError> {
         let feed = self.feed()?;
-        blocking(move || read(&feed.history.lock()))
+        blocking(move || read(&feed.history))
             .await?
             .map_err(ServiceError::from)
     }

@@ -105,7 +105,8 @@ impl<K: SceneKind> Writer<K> {
     pub(super) fn serve(&mut self, scene: &SceneOf<K>) -> Halt {
         let group_operations_max = scene.setup.config.group_operations_max;
         loop {
-            let idle_work = self.upkeep.waits(&self.log, &self.feed.set);
+            let idle_work =
+                self.log.wants_checkpoint() || self.upkeep.waits(&self.log, &self.feed.set);
             let Some(group) = scene.inbox.next_group(group_operations_max, idle_work) else {
                 return Halt::Ended;
             };
@@ -360,6 +361,11 @@ impl<K: SceneKind> Writer<K> {
         let Self {
             log, feed, upkeep, ..
         } = self;
+        if log.wants_checkpoint() {
+            return log
+                .checkpoint()
+                .inspect_err(|_| meters::checkpoint_failed());
+        }
         if !upkeep.waits(log, &feed.set) {
             return Ok(());
         }

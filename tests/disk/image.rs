@@ -101,6 +101,15 @@ impl Image {
 
     /// What one more event makes of it. `random` says what a sync that failed has written all the same.
     pub(crate) fn apply(&mut self, event: &Event, random: &mut Random) {
+        self.apply_with(event, || Reached::some(random));
+    }
+
+    /// The same; a sync that failed has written nothing.
+    pub(crate) fn apply_and_lose(&mut self, event: &Event) {
+        self.apply_with(event, || Reached::None);
+    }
+
+    fn apply_with(&mut self, event: &Event, reached_by_failed_sync: impl FnOnce() -> Reached) {
         match event {
             Event::Make {
                 directory,
@@ -141,7 +150,7 @@ impl Image {
             Event::Sync(node) => self.keep(*node, &Reached::All),
             // The kernel has given up on the bytes; names it still knows to be unwritten.
             Event::SyncFailed(node) if matches!(self.nodes[node], Content::File(_)) => {
-                self.keep(*node, &Reached::some(random));
+                self.keep(*node, &reached_by_failed_sync());
             }
             Event::SyncFailed(_) => {}
             Event::Mark(_) => {}

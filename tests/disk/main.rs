@@ -13,6 +13,7 @@ mod faults;
 mod image;
 mod kinds;
 mod power;
+mod sequences;
 mod workload;
 
 #[path = "../oracle/bodies.rs"]

@@ -52,14 +52,25 @@ pub(crate) const KEEP: Keep = Keep {
     revert_changes_max: 0,
     revert_bytes_max: 0,
     snapshot_log_bytes_min: 0,
+    write_ahead_pages_max: 1000,
 };
 
-/// Snapshots are written all the time.
+/// Snapshots are written all the time, and the write-ahead file is moved into the database every few changes.
 pub(crate) fn config(root: &Path) -> ServiceConfig {
     ServiceConfig {
         probe_interval: Duration::from_millis(1),
         snapshot_log_bytes_min: 400,
+        write_ahead_pages_max: 8,
         ..ServiceConfig::new(data(root))
+    }
+}
+
+/// The same, and little is kept: what a snapshot makes superfluous is dropped.
+fn short_config(root: &Path) -> ServiceConfig {
+    ServiceConfig {
+        history_changes_max: 4,
+        revert_changes_max: 2,
+        ..config(root)
     }
 }
 
@@ -199,11 +210,13 @@ impl<'a, K: Tried> Client<'a, K> {
             service.shutdown().await;
             drop(service);
             let service = self.start_again();
-            self.change_again(&service, "part", &mut engine).await;
+            let last = self.change_again(&service, "part", &mut engine).await;
+            self.revert_again(&service, "part", &mut engine, last).await;
             self.define_again(&service, "part").await;
+            self.group_again(&service, "part", &mut engine).await;
             self.change_again(&service, "part", &mut engine).await;
             if round == 0 {
-                self.remove_again(&service, "part").await;
+                self.remove_again(&service, "part", &mut engine).await;
             }
             service.shutdown().await;
         }
@@ -211,7 +224,7 @@ impl<'a, K: Tried> Client<'a, K> {
 
     fn start_again(&self) -> Service {
         loop {
-            if let Ok(service) = Service::start(config(self.disk.path())) {
+            if let Ok(service) = Service::start(short_config(self.disk.path())) {
                 return service;
             }
         }
@@ -226,16 +239,25 @@ impl<'a, K: Tried> Client<'a, K> {
         K::engine(&K::header()).unwrap()
     }
 
-    async fn remove_again(&mut self, service: &Service, name: &str) {
+    /// When it fails, the scene comes back, and then it is there and is changed.
+    async fn remove_again(&mut self, service: &Service, name: &str, engine: &mut K::Engine) {
         let scene = SceneName::new(name).unwrap();
         loop {
+            let mut removed = self.world.clone();
+            removed.remove(name);
+            // On its way, until the next mark says what has come of it.
+            self.story.worlds.push(removed.clone());
             match service.remove(&scene).await {
-                Ok(()) | Err(ServiceError::NoSuchScene(_)) => break,
+                Ok(()) => {
+                    self.world = removed;
+                    return self.mark();
+                }
                 Err(error) => assert!(is_disk(&error), "{error}"),
             }
+            published_again::<K>(service, name);
+            self.mark();
+            self.change_again(service, name, engine).await;
         }
-        self.world.remove(name);
-        self.mark();
     }
 
     /// Defines what comes next, if anything does.
@@ -250,28 +272,65 @@ impl<'a, K: Tried> Client<'a, K> {
         self.defined(name);
     }
 
-    async fn change_again(&mut self, service: &Service, name: &str, engine: &mut K::Engine) {
+    /// Some change, and what it did.
+    async fn change_again(
+        &mut self,
+        service: &Service,
+        name: &str,
+        engine: &mut K::Engine,
+    ) -> Effect<K::Body> {
         let ops = self.random_ops(name);
         let effect = self.effect(engine, &ops);
-        if effect == Effect::default() {
+        self.do_again(service, name, engine, &Operations::Named(ops), &effect)
+            .await;
+        effect
+    }
+
+    /// Goes back behind the last change.
+    async fn revert_again(
+        &mut self,
+        service: &Service,
+        name: &str,
+        engine: &mut K::Engine,
+        last: Effect<K::Body>,
+    ) {
+        let undone = Effect {
+            deleted: last.inserted,
+            inserted: last.deleted,
+        };
+        let before = self.world[name].seq.saturating_sub(1);
+        self.do_again(
+            service,
+            name,
+            engine,
+            &Operations::Revert(Seq(before)),
+            &undone,
+        )
+        .await;
+    }
+
+    /// Does what has this effect, unless that is nothing.
+    async fn do_again(
+        &mut self,
+        service: &Service,
+        name: &str,
+        engine: &mut K::Engine,
+        operations: &Operations<K>,
+        effect: &Effect<K::Body>,
+    ) {
+        if *effect == Effect::default() {
             return;
         }
         let before = K::totals(engine);
-        assert!(K::apply(engine, &effect));
+        assert!(K::apply(engine, effect));
         let seq = self.world[name].seq;
         let published = loop {
-            let scene = running::<K>(service, name);
-            let change = submission(Operations::Named(ops.clone()));
-            match scene.change(change).await {
+            let change = submission(operations.clone());
+            match running::<K>(service, name).change(change).await {
                 Ok(applied) => break applied.published,
                 Err(error) => assert!(is_disk(&error), "{error}"),
             }
-            let published = loop {
-                match running::<K>(service, name).published() {
-                    Ok(published) => break published,
-                    Err(error) => assert!(is_disk(&error), "{error}"),
-                }
-            };
+            let published = published_again::<K>(service, name);
             if published.seq.0 > seq {
                 break published;
             }
@@ -279,6 +338,60 @@ impl<'a, K: Tried> Client<'a, K> {
         };
         assert_stands(&published, seq + 1, &K::totals(engine));
         self.acknowledge(name, &published);
+        self.mark();
+    }
+
+    /// Changes that may share commits: each inserts a body of a new id. What was answered as failed and is there is not inserted twice.
+    async fn group_again(&mut self, service: &Service, name: &str, engine: &mut K::Engine) {
+        const CHANGES: u64 = 3;
+        let Acknowledged {
+            seq, definitions, ..
+        } = self.world[name];
+        let mut inserted = Vec::new();
+        for index in 0..CHANGES {
+            let body = K::body(&mut self.random, definitions);
+            inserted.push((CubeId(100 + CHANGES * seq + index), body));
+        }
+        let mut waiting = inserted.clone();
+        while !waiting.is_empty() {
+            let scene = running::<K>(service, name);
+            let changes = waiting.iter().cloned().map(|(id, body)| {
+                scene.change(submission(Operations::Named(vec![Op::Insert(id, body)])))
+            });
+            let mut answers = futures_util::future::join_all(changes).await.into_iter();
+            waiting.retain(|_| match answers.next().unwrap() {
+                Ok(_) => false,
+                Err(error) => {
+                    assert!(is_disk(&error), "{error}");
+                    true
+                }
+            });
+        }
+        let deleted = Vec::new();
+        assert!(K::apply(engine, &Effect { deleted, inserted }));
+        let published = published_again::<K>(service, name);
+        assert_stands(&published, seq + CHANGES, &K::totals(engine));
+        let rows = loop {
+            let scene = running::<K>(service, name);
+            match scene
+                .history(Seq(seq + 1), published.seq, None, usize::MAX)
+                .await
+            {
+                Ok(rows) => break rows,
+                // A read that fails is damage to SQLite, and here nobody looks a second time.
+                Err(ServiceError::Damaged { .. }) => {}
+                Err(error) => assert!(is_disk(&error), "{error}"),
+            }
+        };
+        assert_eq!(rows.len() as u64, CHANGES);
+        for row in rows {
+            let published = Published {
+                seq: row.seq,
+                at_ms: row.at_ms,
+                totals: row.totals,
+            };
+            self.acknowledge(name, &published);
+        }
         self.mark();
     }
 
@@ -415,6 +528,7 @@ impl<'a, K: Tried> Client<'a, K> {
             revert_changes_max: 2,
             revert_bytes_max: 1 << 20,
             snapshot_log_bytes_min: 0,
+            write_ahead_pages_max: 1000,
         };
         let directory = data(self.disk.path()).join("scenes").join(name);
         let (mut log, notices) = Log::<K>::open(&directory, keep).unwrap();
@@ -436,6 +550,7 @@ impl<'a, K: Tried> Client<'a, K> {
             for part in bodies.chunks(bodies.len().div_ceil(2).max(1)) {
                 log.snapshot_add(part).unwrap();
                 self.append(name, &mut log, &mut engine);
+                log.checkpoint().unwrap();
             }
             if let Some(definition) = K::definition(self.world[name].definitions) {
                 log.define(&definition).unwrap();
@@ -468,6 +583,16 @@ impl<'a, K: Tried> Client<'a, K> {
         log.append(&[record], &[]).unwrap();
         self.acknowledge(name, &published);
         self.mark();
+    }
+}
+
+/// Waits until a scene says where it is.
+fn published_again<K: Tried>(service: &Service, name: &str) -> Published<K> {
+    loop {
+        match running::<K>(service, name).published() {
+            Ok(published) => return published,
+            Err(error) => assert!(is_disk(&error), "{error}"),
+        }
     }
 }
 
