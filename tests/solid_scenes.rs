@@ -6,15 +6,15 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use union3d::engine::Op;
-use union3d::engine::solids::{Body, Shape, Stock, recount};
+use union3d::engine::solids::{Body, Effect, Engine, Shape, Stock, Totals, recount};
+use union3d::engine::{Counts, Op};
 use union3d::geometry::CubeId;
 use union3d::geometry::convex::{Point, Solid};
 use union3d::log::LogError;
 use union3d::service::{
-    AnyAudit, Applied, Counting, FailHook, FailPoint, Motion, NamedShape, Offline, Operations,
-    SceneName, SceneState, Seq, Service, ServiceConfig, ServiceError, SolidScene, Solids,
-    Submission,
+    AnyAudit, Applied, Chain, Counting, FailHook, FailPoint, Motion, NamedShape, Offline,
+    Operations, Published, SceneName, SceneState, Seq, Service, ServiceConfig, ServiceError,
+    SolidScene, Solids, Submission,
 };
 
 #[path = "oracle/bodies.rs"]
@@ -188,6 +188,199 @@ async fn every_state_is_what_its_changes_made() {
             assert_eq!(volume, row.totals.union.measures.volume6);
         }
         assert!(scene.audit().await.unwrap().is_equal());
+        service.shutdown().await;
+    }
+}
+
+/// What a change came to: its seq, counts, assigned ids, totals and volume, and whether it was a replayed answer; or the refusal.
+type Answer = Result<(u64, Counts, Option<(CubeId, CubeId)>, Totals, i128, bool), String>;
+
+/// What a scene must answer to changes that come one after the other.
+struct OneByOne {
+    engine: Engine,
+    seq: u64,
+    next_id: u64,
+    keys: BTreeMap<Box<str>, ([u8; 32], Answer)>,
+    /// Whether a change of the chain was refused.
+    broken: bool,
+}
+
+impl OneByOne {
+    fn answer(&mut self, submission: Submission<Solids>, is_chained: bool) -> Answer {
+        if self.broken && is_chained {
+            return Err(ServiceError::Abandoned.to_string());
+        }
+        let answer = self.judge(submission);
+        self.broken |= answer.is_err();
+        answer
+    }
+
+    fn judge(&mut self, submission: Submission<Solids>) -> Answer {
+        if let Some((key, body)) = &submission.key
+            && let Some((other, answer)) = self.keys.get(key)
+        {
+            let (seq, counts, assigned, totals, volume, _) = answer.clone().unwrap();
+            return match other == body {
+                true => Ok((seq, counts, assigned, totals, volume, true)),
+                false => Err(ServiceError::KeyReused.to_string()),
+            };
+        }
+        let (ops, assigned): (Vec<_>, _) = match submission.operations {
+            Operations::Named(ops) => (ops, None),
+            Operations::Numbered { insert, .. } => {
+                let last = self.next_id + insert.len() as u64 - 1;
+                let assigned = (CubeId(self.next_id), CubeId(last));
+                let ids = (self.next_id..).map(CubeId);
+                let ops = ids.zip(insert).map(|(id, body)| Op::Insert(id, body));
+                (ops.collect(), Some(assigned))
+            }
+            _ => unreachable!("the test sends none"),
+        };
+        let judged = self.engine.judge(&ops);
+        let judged = judged.map_err(|refusal| ServiceError::from(refusal).to_string())?;
+        let before = self.engine.totals();
+        self.engine.apply(&judged.effect).unwrap();
+        for (id, _) in &judged.effect.inserted {
+            self.next_id = self.next_id.max(id.0 + 1);
+        }
+        let is_move = submission.motion.is_said() && judged.net.unchanged == 0;
+        self.seq += u64::from(is_move || judged.effect != Effect::default());
+        let totals = self.engine.totals();
+        let volume = totals.measures.volume6 - before.measures.volume6;
+        let answer = Ok((self.seq, judged.net, assigned, totals, volume, false));
+        if let Some((key, body)) = submission.key {
+            self.keys.insert(key, (body, answer.clone()));
+        }
+        answer
+    }
+}
+
+/// A change of any kind: most insert one body.
+fn random_submission(random: &mut Random, shapes: &[Arc<Shape>]) -> Submission<Solids> {
+    let kind = match random.below(60) {
+        0 => 0,
+        _ => 1 + random.below(12),
+    };
+    let bodies = match kind {
+        0 => 66,
+        1..4 => random.within(2, 5),
+        _ => 1,
+    };
+    let mut bodies: Vec<_> = (0..bodies).map(|_| random_body(random, shapes)).collect();
+    let mut id = || CubeId(random.below(60) as u64);
+    let operations = match kind {
+        0 => Operations::Numbered {
+            delete: vec![],
+            insert: bodies,
+        },
+        1 => Operations::Named(vec![Op::Delete(id()), Op::Insert(id(), bodies.remove(0))]),
+        2 => Operations::Named(vec![]),
+        3 => Operations::Named(vec![Op::Delete(id())]),
+        4..6 => Operations::Numbered {
+            delete: vec![],
+            insert: bodies,
+        },
+        _ => Operations::Named(
+            bodies
+                .into_iter()
+                .map(|body| Op::Insert(id(), body))
+                .collect(),
+        ),
+    };
+    let key = (random.below(5) == 0).then(|| {
+        let key = ["one", "two", "three", "four"][random.below(4)];
+        (key.into(), [u8::from(random.below(4) == 0); 32])
+    });
+    let mut motion = Motion::default();
+    if random.below(3) == 0 {
+        motion.number = Some(random.below(9) as u64);
+    }
+    Submission {
+        motion,
+        key,
+        ..submission(operations)
+    }
+}
+
+/// Changes that wait for the disk together are answered as if they had come one by one: those that only insert, and those that name bodies
+/// and keys of others that wait, alone and in a chain.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn changes_that_wait_together_are_answered_one_by_one() {
+    for (seed, stock) in (1..7).zip(stocks().into_iter().cycle()) {
+        let mut random = Random::new(seed);
+        let directory = tempfile::tempdir().unwrap();
+        // While it is taken, no change becomes durable.
+        let held = Arc::new(parking_lot::Mutex::new(()));
+        let hook: FailHook = {
+            let held = held.clone();
+            Arc::new(move |point| {
+                if point == FailPoint::Append {
+                    drop(held.lock());
+                }
+                None
+            })
+        };
+        let service = Service::start_with_failpoints(config(directory.path()), hook).unwrap();
+        let scene = create(&service, stock.clone()).await;
+        let context = scene.context().unwrap();
+        let shapes: Vec<_> = context.iter().map(|named| named.shape.clone()).collect();
+        let chain = (seed % 2 == 0).then(Chain::default);
+        let mut expected = OneByOne {
+            engine: Engine::new().with_stock(stock.clone()),
+            seq: 0,
+            next_id: 1,
+            keys: BTreeMap::new(),
+            broken: false,
+        };
+        for round in 0..3 {
+            let mut answers = Vec::new();
+            let hold = held.lock();
+            for _ in 0..random.within(1, 40) {
+                let change = random_submission(&mut random, &shapes);
+                let answer = scene.submit(change.clone(), chain.clone()).await.unwrap();
+                answers.push((change, answer));
+            }
+            drop(hold);
+            for (number, (change, answer)) in answers.into_iter().enumerate() {
+                let context = format!("seed {seed}, round {round}, change {number}: {change:?}");
+                let answer: Answer =
+                    answer
+                        .await
+                        .map_err(|refusal| refusal.to_string())
+                        .map(|applied| {
+                            let Published { seq, totals, .. } = applied.published;
+                            let Applied {
+                                counts,
+                                assigned,
+                                volume_removed,
+                                replayed,
+                                ..
+                            } = applied;
+                            (
+                                seq.0,
+                                counts,
+                                assigned,
+                                totals.union,
+                                volume_removed,
+                                replayed,
+                            )
+                        });
+                assert_eq!(
+                    answer,
+                    expected.answer(change, chain.is_some()),
+                    "{context}"
+                );
+            }
+        }
+        let bodies = expected.engine.solids();
+        let bodies = bodies
+            .map(|(id, body)| (CubeId(id.0), body.clone()))
+            .collect();
+        assert_holds(&scene, &stock, &bodies).await;
+        drop(scene);
+        service.shutdown().await;
+        let service = Service::start(config(directory.path())).unwrap();
+        assert_holds(&running(&service), &stock, &bodies).await;
         service.shutdown().await;
     }
 }

@@ -102,6 +102,17 @@ pub struct Bounds {
     pub max: [i32; 3],
 }
 
+impl Bounds {
+    /// The box around both.
+    #[must_use]
+    pub fn union(&self, other: &Self) -> Self {
+        Self {
+            min: [0, 1, 2].map(|axis: usize| self.min[axis].min(other.min[axis])),
+            max: [0, 1, 2].map(|axis: usize| self.max[axis].max(other.max[axis])),
+        }
+    }
+}
+
 /// A block of material that the cubes are cut from: an axis-aligned closed box with a volume. Units: steps.
 ///
 /// Its corners lie within [`COORDINATE_MAX`] of the origin on every axis.

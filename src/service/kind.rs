@@ -57,6 +57,16 @@ pub trait SceneKind: Kind {
     /// Applies an effect, whole or not at all; false, and nothing done, when it does not fit.
     fn apply(engine: &mut Self::Engine, effect: &Effect<Self::Body>) -> bool;
 
+    /// How many bodies of successive changes that only insert are put in together, at most; 0 where that is no faster. Judged one by one they
+    /// are not too many for the scene either.
+    fn together_max(engine: &Self::Engine) -> usize;
+
+    /// Inserts bodies one after the other: the totals after each. None, and nothing is sure, when one does not fit.
+    fn insert_each(
+        engine: &mut Self::Engine,
+        bodies: Vec<(CubeId, Self::Body)>,
+    ) -> Option<Vec<Self::Totals>>;
+
     /// Whether applying an effect takes so short that readers can wait.
     fn applies_at_once(effect: &Effect<Self::Body>) -> bool;
 
@@ -122,6 +132,21 @@ impl SceneKind for Cubes {
 
     fn apply(engine: &mut Engine, effect: &Effect) -> bool {
         engine.apply(effect).is_ok()
+    }
+
+    fn together_max(_: &Engine) -> usize {
+        0
+    }
+
+    fn insert_each(engine: &mut Engine, cubes: Vec<(CubeId, Place)>) -> Option<Vec<Totals>> {
+        let one_by_one = cubes.into_iter().map(|cube| {
+            let effect = Effect {
+                deleted: Vec::new(),
+                inserted: vec![cube],
+            };
+            engine.apply(&effect).ok().map(|()| engine.totals())
+        });
+        one_by_one.collect()
     }
 
     fn applies_at_once(effect: &Effect) -> bool {

@@ -31,6 +31,7 @@ mod scene;
 mod set;
 mod solids;
 mod table;
+mod together;
 mod upkeep;
 mod writer;
 
@@ -142,9 +143,12 @@ pub struct Submission<K: Kind = Cubes> {
     /// Which movement of a machine it belongs to. A change for which something is said here takes a seq even when it changes no
     /// cube: time has passed, and nothing was cut.
     pub motion: Motion,
-    /// Idempotency key and SHA-256 of the body.
-    pub key: Option<(Box<str>, [u8; 32])>,
+    /// By which a retry is known.
+    pub key: Option<Key>,
 }
+
+/// An idempotency key, and SHA-256 of the body that came with it.
+pub type Key = (Box<str>, [u8; 32]);
 
 /// Changes of one stream: after one that was not applied none is, also not those that were queued already.
 #[derive(Clone, Debug, Default)]

@@ -111,6 +111,18 @@ impl<K: SceneKind> BodySet<K> {
         assert!(fits, "an effect fits the set that it was judged against");
     }
 
+    /// Inserts bodies that were judged against the engine, one after the other, in one step: the totals after each.
+    pub(super) fn insert_each(&self, bodies: Vec<(CubeId, K::Body)>) -> Vec<K::Totals> {
+        let after = self.write(|state| {
+            state.is_whole = false;
+            state.note(&[], &bodies);
+            let after = K::insert_each(&mut state.engine, bodies);
+            state.is_whole = true;
+            after
+        });
+        after.expect("bodies fit the set that they were judged against")
+    }
+
     /// What the engine is ahead of is durable now; `show` tells those who do not look here, before anybody looks here.
     pub(super) fn advance(&self, durable: &Published<K>, show: impl FnOnce()) {
         let mut spare = self.spare.lock();

@@ -18,10 +18,9 @@ use super::judge::{Accepted, Judging, Unfit};
 use super::kind::SceneKind;
 use super::next_id::NextId;
 use super::scene::{Condition, SceneOf};
+use super::together::{Together, Waiting};
 use super::upkeep::Upkeep;
-use super::{
-    Applied, Counting, Motion, Operations, Published, Seq, ServiceError, Submission, meters,
-};
+use super::{Applied, Counting, Operations, Published, Seq, ServiceError, Submission, meters};
 use crate::engine::Access;
 use crate::engine::Counts;
 use crate::geometry::Effect;
@@ -62,6 +61,10 @@ type Outcome<K> = Result<Applied<K>, ServiceError>;
 
 /// What shares one commit.
 struct Group<K: SceneKind> {
+    /// Accepted and not yet applied.
+    together: Together<K>,
+    /// Of the changes before those that wait.
+    outcomes: Vec<Outcome<K>>,
     records: Vec<Record<K>>,
     /// Net counts of the records.
     net: Vec<Counts>,
@@ -127,14 +130,14 @@ impl<K: SceneKind> Writer<K> {
             .map(|pending| (pending.submission, pending.reply))
             .unzip();
         match self.make_durable(scene, submissions, &replies) {
-            Ok((group, outcomes)) => {
+            Ok(group) => {
                 if let Some(newest) = group.newest() {
                     meters::committed(start.elapsed());
                     group.net.iter().for_each(meters::changed);
                     self.published = newest;
                     self.feed.publish(&newest);
                 }
-                for (reply, outcome) in replies.into_iter().zip(outcomes) {
+                for (reply, outcome) in replies.into_iter().zip(group.outcomes) {
                     reply.send(outcome);
                 }
                 for record in &group.records {
@@ -155,39 +158,51 @@ impl<K: SceneKind> Writer<K> {
         scene: &SceneOf<K>,
         submissions: Vec<Submission<K>>,
         replies: &[Reply<K>],
-    ) -> Result<(Group<K>, Vec<Outcome<K>>), LogError> {
+    ) -> Result<Group<K>, LogError> {
         let mut group = Group {
+            together: Together::default(),
+            outcomes: Vec::with_capacity(submissions.len()),
             records: Vec::new(),
             net: Vec::new(),
             keys: Vec::new(),
             keyed: HashMap::new(),
         };
-        let mut outcomes = Vec::with_capacity(submissions.len());
         for (submission, reply) in submissions.into_iter().zip(replies) {
             let outcome = if reply.is_abandoned() {
-                Err(ServiceError::Abandoned)
+                Some(Err(ServiceError::Abandoned))
             } else {
                 self.judge(scene, &mut group, submission)?
             };
-            reply.judged(&outcome);
-            outcomes.push(outcome);
+            if let Some(outcome) = outcome {
+                reply.judged(&outcome);
+                // Those before it come first.
+                self.apply_together(&mut group);
+                group.outcomes.push(outcome);
+            }
         }
+        self.apply_together(&mut group);
         if !group.is_empty() {
             let hook = scene.setup.fail_hook.as_ref();
             failpoint::pass(hook, FailPoint::Append)?;
             self.log.append(&group.records, &group.keys)?;
             failpoint::pass(hook, FailPoint::Appended)?;
         }
-        Ok((group, outcomes))
+        Ok(group)
     }
 
-    /// Judges a change, unless its key was met before, and applies it: the engine is then ahead of the log.
+    /// Judges a change, unless its key was met before, and applies it: the engine is then ahead of the log. None while it waits for
+    /// others.
     fn judge(
         &mut self,
         scene: &SceneOf<K>,
         group: &mut Group<K>,
         submission: Submission<K>,
-    ) -> Result<Outcome<K>, LogError> {
+    ) -> Result<Option<Outcome<K>>, LogError> {
+        let bodies_max = self.feed.set.look(K::together_max);
+        let is_admitted = group.together.admits(&submission, bodies_max);
+        if !is_admitted {
+            self.apply_together(group);
+        }
         let Submission {
             operations,
             counting,
@@ -195,35 +210,62 @@ impl<K: SceneKind> Writer<K> {
             key,
         } = submission;
         if let Operations::Define(definition) = operations {
-            return self.define(&definition);
+            return self.define(&definition).map(Some);
         }
         if let Operations::DryRun(operations) = operations {
-            return self.dry_run(scene, *operations, counting);
+            return self.dry_run(scene, *operations, counting).map(Some);
         }
         if let Some((key, body)) = &key
             && let Some(earlier) = self.met_before(group, key)?
         {
-            return Ok(if earlier.body == *body {
+            return Ok(Some(if earlier.body == *body {
                 Ok(replayed(&earlier.answer))
             } else {
                 Err(ServiceError::KeyReused)
-            });
+            }));
         }
         let newest = group.newest().unwrap_or(self.published).seq;
         let accepted = match self.accept(scene, newest, operations, counting)? {
             Ok(accepted) => accepted,
-            Err(refusal) => return Ok(Err(refusal)),
+            Err(refusal) => return Ok(Some(Err(refusal))),
         };
-        let applied = self.apply(group, accepted, motion);
-        if let Some((key, body)) = key {
-            group.keyed.insert(key.clone(), group.keys.len());
-            group.keys.push(KeyRecord {
-                key,
-                body,
-                answer: recorded(&applied),
-            });
+        for (id, _) in &accepted.effect.inserted {
+            self.next_id.pass(*id);
         }
-        Ok(Ok(applied))
+        let change = Waiting {
+            accepted,
+            motion,
+            key,
+        };
+        if is_admitted && !change.accepted.effect.inserted.is_empty() {
+            group.together.join(change);
+            return Ok(None);
+        }
+        self.apply_together(group);
+        Ok(Some(Ok(self.apply(group, change))))
+    }
+
+    /// Applies the changes that wait.
+    fn apply_together(&mut self, group: &mut Group<K>) {
+        let mut changes = group.together.take();
+        if changes.len() <= 1 {
+            if let Some(change) = changes.pop() {
+                let applied = self.apply(group, change);
+                group.outcomes.push(Ok(applied));
+            }
+            return;
+        }
+        let bodies = changes
+            .iter()
+            .flat_map(|change| &change.accepted.effect.inserted);
+        let after = self.feed.set.insert_each(bodies.cloned().collect());
+        let mut after = after.into_iter();
+        for change in changes {
+            let last = change.accepted.effect.inserted.len() - 1;
+            let totals = after.nth(last).expect("there are totals after each body");
+            let applied = self.record(group, change, totals);
+            group.outcomes.push(Ok(applied));
+        }
     }
 
     /// Judges operations against the engine, which is at `newest`.
@@ -319,21 +361,30 @@ impl<K: SceneKind> Writer<K> {
         }
     }
 
-    fn apply(&mut self, group: &mut Group<K>, accepted: Accepted<K>, motion: Motion) -> Applied<K> {
+    fn apply(&self, group: &mut Group<K>, change: Waiting<K>) -> Applied<K> {
+        if change.accepted.effect != Effect::default() {
+            self.feed.set.apply(&change.accepted.effect);
+        }
+        self.record(group, change, self.feed.set.look(K::totals))
+    }
+
+    /// Records what a change, which is applied, has led to.
+    fn record(&self, group: &mut Group<K>, change: Waiting<K>, totals: K::Totals) -> Applied<K> {
+        let Waiting {
+            accepted,
+            motion,
+            key,
+        } = change;
         let mut published = group.newest().unwrap_or(self.published);
         let mut volume_removed = 0;
         // A move that cuts nothing is a change too; but operations sent again that are done already are none.
         let is_move = motion.is_said() && accepted.net.unchanged == 0;
         if accepted.effect != Effect::<K::Body>::default() || is_move {
-            self.feed.set.apply(&accepted.effect);
-            for (id, _) in &accepted.effect.inserted {
-                self.next_id.pass(*id);
-            }
             let before = K::removed(&published.totals);
             published = Published {
                 seq: Seq(published.seq.0 + 1),
                 at_ms: now_ms().max(published.at_ms),
-                totals: self.feed.set.look(K::totals),
+                totals,
             };
             volume_removed = K::removed(&published.totals) - before;
             group.net.push(accepted.net);
@@ -347,13 +398,22 @@ impl<K: SceneKind> Writer<K> {
                 totals: published.totals,
             });
         }
-        Applied {
+        let applied = Applied {
             published,
             counts: accepted.counts,
             assigned: accepted.assigned,
             volume_removed,
             replayed: false,
+        };
+        if let Some((key, body)) = key {
+            group.keyed.insert(key.clone(), group.keys.len());
+            group.keys.push(KeyRecord {
+                key,
+                body,
+                answer: recorded(&applied),
+            });
         }
+        applied
     }
 
     /// One step of upkeep, if there is one to take.

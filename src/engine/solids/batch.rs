@@ -64,6 +64,12 @@ struct Beside {
     ranks: Vec<usize>,
 }
 
+/// What a fresh part changes, and what it has of the contact of its move.
+struct Settled {
+    books: Books,
+    contact2: Option<i128>,
+}
+
 /// What evaluating a fresh part found.
 pub(super) struct Found {
     pub(super) books: Books,
@@ -112,19 +118,21 @@ impl Batch {
 }
 
 impl Engine {
-    /// Inserts bodies whose ids are free; what each adds to those before it is told in their order.
+    /// Inserts bodies whose ids are free; what each changes, after those before it, is told in their order.
     pub(super) fn insert_batch(
         &mut self,
         bodies: &[(SolidId, Body)],
-        mut each: impl FnMut(Measures),
+        mut each: impl FnMut(&Body, Books),
     ) {
         for slice in bodies.chunks(SLICE) {
             let (owners, slots): (Vec<usize>, Vec<u32>) = self.enter(slice).into_iter().unzip();
-            let mut added = vec![Measures::default(); slice.len()];
+            let mut changes = vec![Books::default(); slice.len()];
             for (owner, part) in owners.into_iter().zip(self.settle(&slots, &[])) {
-                added[owner].add(&part.measures);
+                changes[owner].add(&part.books);
             }
-            added.into_iter().for_each(&mut each);
+            for ((_, body), change) in slice.iter().zip(changes) {
+                each(body, change);
+            }
             self.slots.tidy();
         }
     }
@@ -146,7 +154,7 @@ impl Engine {
             let moves = counts.iter().take_while(fits).count();
             if moves == 0 {
                 let before = self.measures;
-                self.insert_batch(&bodies[..first], |_| ());
+                self.insert_batch(&bodies[..first], |_, _| ());
                 let mut measures = self.measures;
                 measures.retract(&before);
                 each(Added {
@@ -189,7 +197,7 @@ impl Engine {
         let mut added = vec![nothing; counts.len()];
         for (owner, part) in owners.into_iter().zip(self.settle(&slots, &moves)) {
             let added = &mut added[owner];
-            added.measures.add(&part.measures);
+            added.measures.add(&part.books.union);
             added.contact2 = added
                 .contact2
                 .zip(part.contact2)
@@ -238,9 +246,9 @@ impl Engine {
     }
 
     /// Evaluates parts that are among the exposed ones as they are, in this order; adds what they add, and puts those that add nothing among
-    /// the covered ones. Returns what each adds to those before it; of contact, where the ranks of the move of each are given, its part of that
-    /// of its move.
-    fn settle(&mut self, slots: &[u32], moves: &[Range<usize>]) -> Vec<Added> {
+    /// the covered ones. Returns what each changes, after those before it; of contact, where the ranks of the move of each are given, its part of
+    /// that of its move.
+    fn settle(&mut self, slots: &[u32], moves: &[Range<usize>]) -> Vec<Settled> {
         for &slot in slots {
             self.slots
                 .set_state(slot, State::Exposed(Features::default()));
@@ -280,11 +288,11 @@ impl Engine {
                 self.slots.set_state(fresh.slot, State::Covered(holder));
             }
         }
-        let added = found.iter().enumerate().map(|(rank, found)| Added {
-            measures: found.books.union,
+        let settled = found.iter().enumerate().map(|(rank, found)| Settled {
+            books: found.books,
             contact2: contacts.get(rank).copied(),
         });
-        added.collect()
+        settled.collect()
     }
 
     /// Deletes bodies that are there.

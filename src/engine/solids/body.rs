@@ -160,10 +160,7 @@ impl Body {
     /// The box around it.
     pub fn bounds(&self) -> Bounds {
         let boxes = (0..self.len()).map(|part| self.part_bounds(part));
-        let around = boxes.reduce(|a, b| Bounds {
-            min: [0, 1, 2].map(|axis: usize| a.min[axis].min(b.min[axis])),
-            max: [0, 1, 2].map(|axis: usize| a.max[axis].max(b.max[axis])),
-        });
+        let around = boxes.reduce(|a, b| a.union(&b));
         around.expect("a body has a part")
     }
 

@@ -156,6 +156,7 @@ impl Unit {
 }
 
 /// A flag in whole numbers: a point, a line through it, a plane through the line.
+#[derive(Debug)]
 pub(super) struct Flag<'a> {
     pub(super) point: Homogeneous,
     pub(super) direction: [i128; 3],
@@ -400,4 +401,95 @@ fn round_half(
 pub(super) fn side_of_lattice(plane: &Plane, point: [i32; 3]) -> i32 {
     let value = dot(plane.normal(), point.map(i64::from)) + plane.offset();
     i32::from(value.signum() as i8)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::convex::Point;
+    use crate::random::Random;
+
+    /// Three of a random box around the origin that lie in one plane.
+    fn plane(random: &mut Random, reach: i64) -> Plane {
+        loop {
+            let mut at = || Point::new([(); 3].map(|()| random.within(-reach, reach))).unwrap();
+            if let Some(plane) = Plane::through(at(), at(), at()) {
+                return plane;
+            }
+        }
+    }
+
+    /// Wherever 256 bits are said to suffice they give what big integers give: near that bound, and where the value lies half-way between two
+    /// units.
+    #[test]
+    fn narrow_integers_round_as_wide_ones_do() {
+        let quantities = (0..3)
+            .map(Quantity::First)
+            .chain([(0, 0), (0, 1), (2, 1)].map(|(i, j)| Quantity::Second(i, j)))
+            .chain([Quantity::Volume]);
+        let quantities: Vec<Quantity> = quantities.collect();
+        let mut random = Random::new(1);
+        let (mut narrow, mut close, mut ties) = (0, 0, 0);
+        for _ in 0..40_000 {
+            let reach = match random.below(2) {
+                0 => random.within(1, 3),
+                _ => 1 << random.within(1, 12),
+            };
+            let planes = [(); 3].map(|()| plane(&mut random, reach));
+            let [a, b, _] = &planes;
+            let direction = cross_wide(a.normal(), b.normal());
+            let meeting = Homogeneous::meeting([&planes[0], &planes[1], &planes[2]]);
+            if direction == [0; 3] || meeting.w == I256::ZERO {
+                continue;
+            }
+            let flag = Flag {
+                point: match random.below(2) {
+                    0 => meeting,
+                    _ => Homogeneous {
+                        x: [(); 3].map(|()| I256::from(random.within(-reach, reach))),
+                        w: I256::from(1 << random.within(0, 3)),
+                    },
+                },
+                direction,
+                plane: a,
+            };
+            let unit = Unit {
+                factor: match random.below(3) {
+                    0 => 1,
+                    _ => (1 << random.within(1, 20)) + 1,
+                },
+                exponent: i32::try_from(random.within(-4, 4)).unwrap(),
+            };
+            for &quantity in &quantities {
+                let bits = flag.bits(quantity, unit);
+                if bits >= 255 {
+                    continue;
+                }
+                let Fraction { over, under } = Products::<BigInt>::of(&flag).fraction(quantity);
+                let twice: BigInt = (&over << 9) / (&under * BigInt::from(unit.factor));
+                if twice.bits() > 120 {
+                    continue;
+                }
+                let expected = round_fraction(&over, &under, unit);
+                assert_eq!(
+                    flag.rounded(quantity, unit),
+                    expected,
+                    "{flag:?}, {quantity:?}, {unit:?}"
+                );
+                narrow += 1;
+                close += u32::from(bits > 245);
+                let (over, under) = match unit.exponent {
+                    shift @ ..0 => (over << shift.unsigned_abs(), under),
+                    shift => (over, under << shift),
+                };
+                let (double, under) = (over << 1, under * BigInt::from(unit.factor));
+                let is_whole = &double % &under == BigInt::ZERO;
+                ties += u32::from(is_whole && double / under % BigInt::from(2) != BigInt::ZERO);
+            }
+        }
+        assert!(
+            narrow > 10_000 && close > 100 && ties > 100,
+            "{narrow} {close} {ties}"
+        );
+    }
 }

@@ -206,14 +206,22 @@ impl<'a> Sheets<'a> {
 }
 
 /// What changes, or is there: of the union and of what remains of the stock.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 pub(super) struct Books {
-    /// Of the union.
+    /// Of the union; where there is a stock, of what it removes.
     pub(super) union: Measures,
     /// Of the rest of the stock; meaningless without a stock.
     pub(super) rest: Measures,
     /// Of the union in the planes that are watched: twice the area.
     pub(super) contact2: i128,
+}
+
+impl Books {
+    /// Adds a difference, as an insertion does.
+    pub(super) fn add(&mut self, difference: &Self) {
+        self.union.add(&difference.union);
+        self.rest.add(&difference.rest);
+    }
 }
 
 /// Volume and moments: the quantities after length and area.

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use ethnum::I256;
 
+use super::ledger::Books;
 use crate::geometry::Bounds;
 
 /// Exponent of the unit of twice the edge length: `2^-20` steps.
@@ -87,6 +88,20 @@ pub struct Totals {
     pub remaining: Option<Measures>,
     /// The box around them, whatever the stock; none when there are none.
     pub bounds: Option<Bounds>,
+}
+
+impl Totals {
+    /// The totals when a body has come that lies in `bounds` and changes so much.
+    pub(super) fn with(mut self, bounds: &Bounds, change: &Books) -> Self {
+        self.solids += 1;
+        self.measures.add(&change.union);
+        if let Some(remaining) = &mut self.remaining {
+            remaining.add(&change.rest);
+        }
+        let around = self.bounds.map_or(*bounds, |all| all.union(bounds));
+        self.bounds = Some(around);
+        self
+    }
 }
 
 /// How far rounding can be off in [`Measures`], at most: each in the unit of the measure.

@@ -294,32 +294,33 @@ impl Engine {
         Ok(())
     }
 
-    /// Inserts bodies one after the other, whole or not at all, and says what each adds to the union of those before it. Many of them go on several
+    /// Inserts bodies one after the other, whole or not at all, and says what the totals are after each. Many of them go on several
     /// threads: the answers are the same. O(bodies named), each in its neighbourhood.
     /// # Errors
     /// [`Inconsistent`] when an id is not free; then nothing has changed.
     pub fn insert_each(
         &mut self,
         bodies: Vec<(SolidId, Body)>,
-    ) -> Result<Vec<Measures>, Inconsistent> {
+    ) -> Result<Vec<Totals>, Inconsistent> {
         let effect = Effect {
             deleted: Vec::new(),
             inserted: bodies,
         };
         self.check(&effect)?;
-        let mut added = Vec::with_capacity(effect.inserted.len());
+        let mut after = Vec::with_capacity(effect.inserted.len());
         if self.is_batch(&effect.inserted) {
-            self.insert_batch(&effect.inserted, |measures| added.push(measures));
-            return Ok(added);
+            let mut totals = self.totals();
+            self.insert_batch(&effect.inserted, |body, change| {
+                totals = totals.with(&body.bounds(), &change);
+                after.push(totals);
+            });
+        } else {
+            for (id, body) in &effect.inserted {
+                self.insert(*id, body);
+                after.push(self.totals());
+            }
         }
-        for (id, body) in &effect.inserted {
-            let before = self.measures;
-            self.insert(*id, body);
-            let mut more = self.measures;
-            more.retract(&before);
-            added.push(more);
-        }
-        Ok(added)
+        Ok(after)
     }
 
     /// The same of moves of one or several bodies each, with their areas of contact: for moves of several convex parts that takes two to three times as
@@ -378,7 +379,7 @@ impl Engine {
             self.worker.kernel.forget_flags();
         }
         if self.is_batch(&effect.inserted) {
-            self.insert_batch(&effect.inserted, |_| ());
+            self.insert_batch(&effect.inserted, |_, _| ());
         } else {
             for (id, body) in &effect.inserted {
                 self.insert(*id, body);

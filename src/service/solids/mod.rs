@@ -15,7 +15,7 @@ use std::ops::RangeInclusive;
 
 use super::kind::SceneKind;
 use super::{ServiceConfig, ServiceError};
-use crate::engine::solids::{self, Body, Effect, Engine, ErrorMax, Judged, Op, Stock};
+use crate::engine::solids::{self, Body, Effect, Engine, ErrorMax, Judged, Op, SOLIDS_MAX, Stock};
 use crate::engine::{Access, Cursor, solids::recount};
 use crate::geometry::CubeId;
 use crate::log::{ColumnReader, ColumnWriter, Header, Kind, Malformed, Reader};
@@ -35,7 +35,7 @@ pub struct SolidTotals {
     pub error_max: ErrorMax,
 }
 
-/// Bodies of a change that are put in or taken out in one step: some tens of milliseconds.
+/// Bodies that are put in or taken out in one step: some tens of milliseconds.
 const STEP_BODIES: usize = 64;
 
 /// The layout of scenes whose stock is a box, if they have one.
@@ -151,6 +151,18 @@ impl SceneKind for Solids {
 
     fn apply(engine: &mut Engine, effect: &Effect) -> bool {
         engine.apply(effect).is_ok()
+    }
+
+    fn together_max(engine: &Engine) -> usize {
+        let room = SOLIDS_MAX - engine.len();
+        usize::try_from(room).map_or(STEP_BODIES, |room| room.min(STEP_BODIES))
+    }
+
+    fn insert_each(engine: &mut Engine, bodies: Vec<(CubeId, Body)>) -> Option<Vec<SolidTotals>> {
+        let after = engine.insert_each(bodies).ok()?;
+        let error_max = engine.error_max();
+        let of = |union| SolidTotals { union, error_max };
+        Some(after.into_iter().map(of).collect())
     }
 
     fn applies_at_once(effect: &Effect) -> bool {

@@ -147,8 +147,17 @@ impl Material {
 
     /// Removes bodies one after the other, and answers what each removes.
     pub(super) fn remove(&mut self, bodies: Vec<(SolidId, Body)>) -> Vec<State> {
-        let added = self.engine.insert_each(bodies).expect("the ids are new");
-        added.iter().map(state).collect()
+        let mut before = self.state();
+        let after = self.engine.insert_each(bodies).expect("the ids are new");
+        let more = after.iter().map(|totals| {
+            let after = state(&totals.measures);
+            let before = std::mem::replace(&mut before, after);
+            State {
+                removed: after.removed - before.removed,
+                area: after.area - before.area,
+            }
+        });
+        more.collect()
     }
 
     /// Removes the bodies of moves, one move after the other, and answers what each removes, and its contact in [`AREA_UNITS`] where that is
