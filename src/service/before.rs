@@ -8,6 +8,8 @@
 //! changes go on. Both tables are the engine's own, in the order of the listing: noting a body costs a part of what inserting it
 //! does, and looking one up takes no longer for many changes than for few.
 
+use std::ops::RangeInclusive;
+
 use super::kind::SceneKind;
 use super::table::Table;
 use crate::engine::Cursor;
@@ -19,6 +21,8 @@ pub(super) struct Before<K: SceneKind> {
     there: K::Table,
     /// Those that were not; with what was inserted first, which nobody asks for.
     absent: K::Table,
+    /// Consecutive ids of bodies that were not there, each a large change's: few. Those in `there` were there all the same.
+    absent_ranges: Vec<RangeInclusive<CubeId>>,
 }
 
 impl<K: SceneKind> Default for Before<K> {
@@ -26,6 +30,7 @@ impl<K: SceneKind> Default for Before<K> {
         Self {
             there: K::Table::default(),
             absent: K::Table::default(),
+            absent_ranges: Vec::new(),
         }
     }
 }
@@ -35,16 +40,17 @@ impl<K: SceneKind> Before<K> {
     pub(super) fn clear(&mut self) {
         self.there.clear();
         self.absent.clear();
+        self.absent_ranges.clear();
     }
 
     pub(super) fn is_empty(&self) -> bool {
-        self.there.is_empty() && self.absent.is_empty()
+        self.there.is_empty() && self.absent.is_empty() && self.absent_ranges.is_empty()
     }
 
     /// Notes a body that a change deletes; false, and nothing done, when a change before has named it. A body that moves is noted as
     /// deleted first.
     pub(super) fn note_deleted(&mut self, id: CubeId, body: K::Body) -> bool {
-        (self.absent.is_empty() || self.absent.get(id).is_none()) && self.there.insert(id, body)
+        !self.was_absent(id) && self.there.insert(id, body)
     }
 
     /// Notes a body that a change inserts, unless a change before has named it.
@@ -54,12 +60,23 @@ impl<K: SceneKind> Before<K> {
         }
     }
 
+    /// Notes bodies of consecutive ids that a change inserts. O(1), so for those of large changes: looking up takes longer for each.
+    pub(super) fn note_inserted_range(&mut self, ids: RangeInclusive<CubeId>) {
+        self.absent_ranges.push(ids);
+    }
+
+    /// Whether a body was not there before a change that has inserted it first.
+    fn was_absent(&self, id: CubeId) -> bool {
+        self.absent_ranges.iter().any(|ids| ids.contains(&id))
+            || (!self.absent.is_empty() && self.absent.get(id).is_some())
+    }
+
     /// What a body was.
     pub(super) fn body(&self, engine: &K::Engine, id: CubeId) -> Option<K::Body> {
         let there = self.there.get(id);
-        there.or_else(|| match self.absent.get(id) {
-            None => K::get(engine, id),
-            Some(_) => None,
+        there.or_else(|| match self.was_absent(id) {
+            false => K::get(engine, id),
+            true => None,
         })
     }
 
@@ -70,7 +87,7 @@ impl<K: SceneKind> Before<K> {
 
     /// Whether a change has named a body.
     pub(super) fn names(&self, id: CubeId) -> bool {
-        self.there.get(id).is_some() || self.absent.get(id).is_some()
+        self.there.get(id).is_some() || self.was_absent(id)
     }
 
     /// The listing of the bodies as they were, after a cursor, from the engine as it is now. None stands for a body that was not there.
@@ -94,7 +111,7 @@ impl<K: SceneKind> Before<K> {
                 return Some((at, Some(body)));
             }
             let (here, body) = now.next()?;
-            let was_absent = !self.absent.is_empty() && self.absent.get(body.0).is_some();
+            let was_absent = self.was_absent(body.0);
             Some((here, (!was_absent).then_some(body)))
         })
     }

@@ -10,6 +10,7 @@
 //! ```
 
 use std::collections::HashMap;
+use std::ops::RangeInclusive;
 
 use parking_lot::{Mutex, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
@@ -62,6 +63,9 @@ impl<K: SceneKind> Default for Ahead<K> {
 
 /// Bodies of an effect that one step notes.
 const NOTED_A_STEP: usize = 256;
+
+/// From so many inserted bodies on, consecutive ids are noted as a range.
+const RANGE_MIN: usize = if cfg!(test) { 64 } else { 1 << 16 };
 
 /// Bodies on their way that a page passes over before it ends early.
 const PASSED_OVER_MAX: usize = if cfg!(test) { 64 } else { 4096 };
@@ -142,6 +146,12 @@ impl<K: SceneKind> BodySet<K> {
         for some in effect.deleted.chunks(NOTED_A_STEP) {
             self.write(|state| state.note(some, &[]));
         }
+        if effect.inserted.len() >= RANGE_MIN
+            && let Some(ids) = consecutive(&effect.inserted)
+        {
+            self.write(|state| state.ahead.before.note_inserted_range(ids));
+            return;
+        }
         for some in effect.inserted.chunks(NOTED_A_STEP) {
             self.write(|state| state.note(&[], some));
         }
@@ -203,6 +213,16 @@ impl<K: SceneKind> State<K> {
             before.note_inserted(*id, body.clone());
         }
     }
+}
+
+/// The ids of some bodies, if each is the one after that before it.
+fn consecutive<Body>(bodies: &[(CubeId, Body)]) -> Option<RangeInclusive<CubeId>> {
+    let ([(first, _), ..], [.., (last, _)]) = (bodies, bodies) else {
+        return None;
+    };
+    let mut pairs = bodies.windows(2);
+    let is_next = |pair: &[(CubeId, Body)]| pair[0].0.0.checked_add(1) == Some(pair[1].0.0);
+    pairs.all(is_next).then_some(*first..=*last)
 }
 
 impl<'a, K: SceneKind> View<'a, K> {
@@ -444,8 +464,16 @@ mod tests {
             for change in 0..30 {
                 let mut later = durable.clone();
                 for _ in 0..=random.below(2) {
-                    let size = [3, 40, 500][usize::try_from(random.below(3)).unwrap()];
+                    let mut size = [3, 40, 500][usize::try_from(random.below(3)).unwrap()];
                     let mut ops: Vec<Op> = Vec::new();
+                    if random.below(3) == 0 {
+                        size = [1, size][usize::try_from(random.below(2)).unwrap()];
+                        let first = random.below(500);
+                        for id in (first..first + random.below(100)).map(CubeId) {
+                            ops.push(Op::Delete(id));
+                            ops.push(Op::Insert(id, place(&mut random, edge)));
+                        }
+                    }
                     for _ in 0..random.below(size) {
                         let id = CubeId(random.below(600));
                         ops.push(Op::Delete(id));
