@@ -33,6 +33,10 @@ use std::process::ExitCode;
 
 use clap::Parser;
 
+/// The server's: what is measured in this process is what it does there.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 /// Measure union3d on this machine: the engine, the paper's table, a real server
 #[derive(Debug, Parser)]
 #[command(
