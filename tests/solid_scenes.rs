@@ -259,15 +259,16 @@ impl OneByOne {
 fn random_submission(random: &mut Random, shapes: &[Arc<Shape>]) -> Submission<Solids> {
     let kind = match random.below(60) {
         0 => 0,
-        _ => 1 + random.below(12),
+        _ => 1 + random.below(14),
     };
     let bodies = match kind {
         0 => 66,
-        1..4 => random.within(2, 5),
-        _ => 1,
+        1..4 => 1,
+        _ => random.within(1, 3),
     };
     let mut bodies: Vec<_> = (0..bodies).map(|_| random_body(random, shapes)).collect();
-    let mut id = || CubeId(random.below(60) as u64);
+    let ids = [8, 1_000][random.below(2)];
+    let mut id = || CubeId(random.below(ids) as u64);
     let operations = match kind {
         0 => Operations::Numbered {
             delete: vec![],

@@ -20,8 +20,11 @@ use super::load::Done;
 use crate::failure::Failure;
 use crate::figures::Latencies;
 
-/// Changes that a client has on their way.
-pub(super) const WINDOW: usize = 16;
+/// Fewest and most changes that a client has on their way: the most is the server's, of small changes.
+pub(super) const WINDOW: [usize; 2] = [16, 256];
+
+/// So many bodies a client has on their way between the two.
+const BODIES_IN_FLIGHT: usize = 1 << 16;
 
 /// Has `clients` stream the changes into a scene, each over a connection of its own, until time is over or nothing is left to
 /// send. What is under way then is waited for, and counts.
@@ -74,7 +77,7 @@ async fn stream(
     scene: String,
     take: impl Fn() -> Option<Change>,
 ) -> Result<Latencies, Failure> {
-    let (to, requests) = mpsc::channel(WINDOW + 1);
+    let (to, requests) = mpsc::channel(WINDOW[1] + 1);
     let message = |message| StreamChangesRequest {
         message: Some(message),
     };
@@ -89,16 +92,20 @@ async fn stream(
     let mut answers = answers.into_inner();
     let mut to = Some(to);
     let mut in_flight = VecDeque::new();
+    let mut window = WINDOW[0];
     let mut latencies = Latencies::default();
     let mut tag = 0;
     loop {
-        while let Some(sender) = to.as_ref().filter(|_| in_flight.len() < WINDOW) {
+        while let Some(sender) = to.as_ref().filter(|_| in_flight.len() < window) {
             let Some(change) = take() else {
                 // Closing this side ends the stream when all is acknowledged.
                 to = None;
                 break;
             };
             tag += 1;
+            let [fewest, most] = WINDOW;
+            let bodies = change.insert_id.len().max(1);
+            window = (BODIES_IN_FLIGHT / bodies).clamp(fewest, most);
             let change = StreamedChange {
                 tag,
                 change: Some(change),

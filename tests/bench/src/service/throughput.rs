@@ -56,11 +56,12 @@ pub(super) fn measure(setup: &Setup<'_>) -> Result<Table, Failure> {
     let kind = setup.kind();
     let (name, a_second) = (kind.plural(), format!("{}/s", kind.plural()));
     let a_change = format!("{name} a change");
+    let [fewest, most] = WINDOW;
     let mut table = Table::new(
         format!("Changes of {name}"),
         format!(
             "How many are acknowledged a second (every answer on stable storage), by protocol, {name} in a change and clients, each with one \
-             change at a time (gRPC: one stream, {WINDOW} changes in flight); how long a change takes, in milliseconds. Medians."
+             change at a time (gRPC: one stream, {fewest} to {most} changes in flight); how long a change takes, in milliseconds. Medians."
         ),
         [
             ("protocol", "protocol"),
