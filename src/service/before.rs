@@ -74,9 +74,9 @@ impl<K: SceneKind> Before<K> {
     /// What a body was.
     pub(super) fn body(&self, engine: &K::Engine, id: CubeId) -> Option<K::Body> {
         let there = self.there.get(id);
-        there.or_else(|| match self.was_absent(id) {
-            false => K::get(engine, id),
-            true => None,
+        there.or_else(|| {
+            let is_durable = !self.was_absent(id);
+            is_durable.then(|| K::get(engine, id)).flatten()
         })
     }
 
