@@ -311,12 +311,12 @@ async fn changes_that_wait_together_are_answered_one_by_one() {
         let mut random = Random::new(seed);
         let directory = tempfile::tempdir().unwrap();
         // While it is taken, no change becomes durable.
-        let held = Arc::new(parking_lot::Mutex::new(()));
+        let held = Arc::new(tokio::sync::Mutex::new(()));
         let hook: FailHook = {
             let held = held.clone();
             Arc::new(move |point| {
                 if point == FailPoint::Append {
-                    drop(held.lock());
+                    drop(held.blocking_lock());
                 }
                 None
             })
@@ -335,7 +335,7 @@ async fn changes_that_wait_together_are_answered_one_by_one() {
         };
         for round in 0..3 {
             let mut answers = Vec::new();
-            let hold = held.lock();
+            let hold = held.lock().await;
             for _ in 0..random.within(1, 40) {
                 let change = random_submission(&mut random, &shapes);
                 let answer = scene.submit(change.clone(), chain.clone()).await.unwrap();
