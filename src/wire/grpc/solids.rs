@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use super::mass_properties::Missing;
 use crate::engine::solids::Body;
 use crate::geometry::CubeId;
+use crate::geometry::convex::Point;
 use crate::service::Shapes;
 use crate::wire::convert::Rounding;
 use crate::wire::documents::IdForm;
@@ -301,27 +302,35 @@ pub(super) fn solid(solid: &(CubeId, Body), shapes: &Shapes, scale: Scale) -> pr
     }
 }
 
+impl proto::Change {
+    /// Adds the insertion of a shape carried from one point to another; hulls come after all of these. Units: steps. O(shapes named so far).
+    pub fn insert_sweep(&mut self, id: CubeId, shape: &str, ends: [Point; 2]) {
+        let named = self.shapes.iter().position(|named| named == shape);
+        let number = named.unwrap_or_else(|| {
+            self.shapes.push(shape.to_owned());
+            self.shapes.len() - 1
+        });
+        let number = u32::try_from(number).expect("a scene has 1,024 shapes at most");
+        self.shape.push(number);
+        self.insert_id.push(id.0);
+        let [[x, y, z], [to_x, to_y, to_z]] = ends.map(Point::coordinates);
+        self.x.push(x);
+        self.y.push(y);
+        self.z.push(z);
+        self.to_x.push(to_x);
+        self.to_y.push(to_y);
+        self.to_z.push(to_z);
+    }
+}
+
 /// Solids as a change that inserts them: those of shapes first, then hulls.
 pub(super) fn insertion(solids: &[(CubeId, Body)], shapes: &Shapes) -> proto::Change {
     let mut change = proto::Change::default();
-    let mut numbers: BTreeMap<&str, u32> = BTreeMap::new();
     let mut hulls = Vec::new();
     for (id, body) in solids {
         if let Some((shape, from, to)) = body.sweep() {
             let name = shapes.of(shape).map_or("", |named| named.name.as_str());
-            let number = *numbers.entry(name).or_insert_with(|| {
-                change.shapes.push(name.to_owned());
-                u32::try_from(change.shapes.len() - 1).expect("a scene has 1,024 shapes at most")
-            });
-            change.shape.push(number);
-            change.insert_id.push(id.0);
-            let ([x, y, z], [to_x, to_y, to_z]) = (from.coordinates(), to.coordinates());
-            change.x.push(x);
-            change.y.push(y);
-            change.z.push(z);
-            change.to_x.push(to_x);
-            change.to_y.push(to_y);
-            change.to_z.push(to_z);
+            change.insert_sweep(*id, name, [from, to]);
         } else if let Some(solid) = body.hull() {
             let column = |axis: usize| {
                 let vertices = solid.vertices().iter();

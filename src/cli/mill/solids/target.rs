@@ -4,7 +4,6 @@ use std::time::Duration;
 
 use serde_json::Value;
 use union3d::engine::solids::{self, SolidId};
-use union3d::geometry::convex::Point;
 use union3d::wire::proto::Change;
 use union3d::wire::solids::{Scale, SolidMeasures, SolidProperties, solid_properties};
 use uuid::Uuid;
@@ -436,22 +435,7 @@ pub(super) fn inserted<'a>(cuts: impl Iterator<Item = (SolidId, &'a Cut)>) -> Ch
     let mut change = Change::default();
     for (id, cut) in cuts {
         let Carried { swept, ends } = &cut.carried;
-        let name = &swept.name;
-        let known = change.shapes.iter().position(|known| known == name);
-        let shape = known.unwrap_or_else(|| {
-            change.shapes.push(name.clone());
-            change.shapes.len() - 1
-        });
-        let shape = u32::try_from(shape).expect("a program has few tools");
-        change.shape.push(shape);
-        change.insert_id.push(id.0);
-        let [[x, y, z], [to_x, to_y, to_z]] = ends.map(Point::coordinates);
-        change.x.push(x);
-        change.y.push(y);
-        change.z.push(z);
-        change.to_x.push(to_x);
-        change.to_y.push(to_y);
-        change.to_z.push(to_z);
+        change.insert_sweep(id, &swept.name, *ends);
     }
     change
 }
