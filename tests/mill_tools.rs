@@ -374,6 +374,16 @@ fn the_stock_is_found_in_comments() {
         &said.replace("40.00mm, 40.00mm", "50.80mm, 50.80mm"),
     );
     assert!(warnings(&bounds)[0].1.contains(":2.0,2.0,0.0"), "{bounds}");
+    // The other way round, without the digits that a product of floats has.
+    let half =
+        "(STOCK/BLOCK, 3, 3, 0.4, 1.5, 1.5, 0.4)\nG20 G90\nG0 X0 Y0 Z1\nG1 Z-0.1 F5\nG0 Z1\nM2\n";
+    let told = warnings(&mill(&tool, half));
+    assert!(
+        told[0]
+            .1
+            .contains("--stock -38.1,-38.1,-10.16:38.1,38.1,0.0"),
+        "{told:?}"
+    );
     // What is given goes before what is said, and none is none.
     let small = mill(
         &[&tool[..], &["--stock=-20,-20,-10:10,40,0"]].concat(),

@@ -60,7 +60,9 @@ pub(super) fn from_comment(said: StockComment, unit: Unit) -> (Option<StockForm>
     match said {
         StockComment::Nothing => (None, None),
         StockComment::Box { corners, line } => {
-            let corners = corners.map(|corner| corner.map(|mm| mm / unit.mm()));
+            // 1.5 inches are 38.1 mm, not a bit less.
+            let user = |mm: f64| (mm / unit.mm() * 1e6).round() / 1e6;
+            let corners = corners.map(|corner| corner.map(user));
             let [least, greatest] = corners.map(|[x, y, z]| format!("{x:?},{y:?},{z:?}"));
             let text = format!("the stock is taken from this comment: --stock {least}:{greatest}");
             (Some(StockForm::Box(corners)), Some(told(line, text)))
