@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 
 use ethnum::I256;
 
-use super::ledger::Books;
 use crate::geometry::Bounds;
 
 /// Exponent of the unit of twice the edge length: `2^-20` steps.
@@ -91,12 +90,12 @@ pub struct Totals {
 }
 
 impl Totals {
-    /// The totals when a body has come that lies in `bounds` and changes so much.
-    pub(super) fn with(mut self, bounds: &Bounds, change: &Books) -> Self {
+    /// The totals when a body has come that lies in `bounds`, and changes the union and what remains so much.
+    pub(super) fn with(mut self, bounds: &Bounds, union: &Measures, rest: &Measures) -> Self {
         self.solids += 1;
-        self.measures.add(&change.union);
+        self.measures.add(union);
         if let Some(remaining) = &mut self.remaining {
-            remaining.add(&change.rest);
+            remaining.add(rest);
         }
         let around = self.bounds.map_or(*bounds, |all| all.union(bounds));
         self.bounds = Some(around);

@@ -311,7 +311,7 @@ impl Engine {
         if self.is_batch(&effect.inserted) {
             let mut totals = self.totals();
             self.insert_batch(&effect.inserted, |body, change| {
-                totals = totals.with(&body.bounds(), &change);
+                totals = totals.with(&body.bounds(), &change.union, &change.rest);
                 after.push(totals);
             });
         } else {
