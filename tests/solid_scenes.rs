@@ -227,11 +227,12 @@ impl OneByOne {
         }
         let (ops, assigned): (Vec<_>, _) = match submission.operations {
             Operations::Named(ops) => (ops, None),
-            Operations::Numbered { insert, .. } => {
+            Operations::Numbered { delete, insert } => {
                 let last = self.next_id + insert.len() as u64 - 1;
                 let assigned = (CubeId(self.next_id), CubeId(last));
                 let ids = (self.next_id..).map(CubeId);
-                let ops = ids.zip(insert).map(|(id, body)| Op::Insert(id, body));
+                let inserts = ids.zip(insert).map(|(id, body)| Op::Insert(id, body));
+                let ops = delete.into_iter().map(Op::Delete).chain(inserts);
                 (ops.collect(), Some(assigned))
             }
             _ => unreachable!("the test sends none"),
@@ -278,7 +279,7 @@ fn random_submission(random: &mut Random, shapes: &[Arc<Shape>]) -> Submission<S
         2 => Operations::Named(vec![]),
         3 => Operations::Named(vec![Op::Delete(id())]),
         4..6 => Operations::Numbered {
-            delete: vec![],
+            delete: (4..kind).map(|_| id()).collect(),
             insert: bodies,
         },
         _ => Operations::Named(
