@@ -258,8 +258,9 @@ impl Engine {
             engine.witnesses_of(&batch, worker, target)
         });
         self.keep_features(&batch, features);
+        let says_contact = !moves.is_empty();
         let found = self.in_parallel(batch.fresh.len(), |engine, worker, rank| {
-            engine.evaluate(&batch, worker, rank)
+            engine.evaluate(&batch, worker, rank, says_contact)
         });
         let contacts = self.in_parallel(moves.len(), |engine, worker, rank| {
             engine.contact(&batch, worker, (rank, &found[rank]), &moves[rank])
@@ -341,7 +342,7 @@ impl Engine {
         });
         self.keep_features(&batch, features);
         let found = self.in_parallel(batch.fresh.len(), |engine, worker, rank| {
-            engine.evaluate(&batch, worker, rank)
+            engine.evaluate(&batch, worker, rank, false)
         });
         for (gone, found) in batch.fresh.iter().zip(&found) {
             self.measures.retract(&found.books.union);
@@ -530,10 +531,22 @@ impl Engine {
     }
 
     /// What a fresh part adds to the settled ones and the fresh ones of lower rank.
-    fn evaluate(&self, batch: &Batch, worker: &mut Worker, rank: usize) -> Found {
+    fn evaluate(
+        &self,
+        batch: &Batch,
+        worker: &mut Worker,
+        rank: usize,
+        says_contact: bool,
+    ) -> Found {
         let fresh = &batch.fresh[rank];
         let is_before = |slot: u32| batch.rank(slot).is_none_or(|other| other < rank);
-        let marginal = self.among(batch, rank, is_before, |members| worker.marginal(members));
+        let marginal = self.among(batch, rank, is_before, |members| {
+            if says_contact {
+                worker.kernel.marginal_with_contact(members)
+            } else {
+                worker.kernel.marginal(members)
+            }
+        });
         let holder = || {
             let before = fresh.around.iter().filter(|other| is_before(other.slot));
             let mut holders =

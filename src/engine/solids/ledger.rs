@@ -221,6 +221,7 @@ impl Books {
     pub(super) fn add(&mut self, difference: &Self) {
         self.union.add(&difference.union);
         self.rest.add(&difference.rest);
+        self.contact2 += difference.contact2;
     }
 }
 
@@ -296,6 +297,9 @@ impl Ledger {
     pub(super) fn watch(&mut self, planes: impl Iterator<Item = Plane>) {
         self.watched.clear();
         self.watched.extend(planes);
+        if self.watched.is_empty() {
+            return;
+        }
         for face in self.stock.iter().flat_map(|stock| &stock.faces) {
             self.watched.remove(&face.plane);
         }

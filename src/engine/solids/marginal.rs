@@ -104,10 +104,19 @@ impl Kernel {
         self.ledger.forget_flags();
     }
 
-    /// What the first member adds to the union of the others, which are all that touch it; contact is what it adds in its own planes.
+    /// What the first member adds to the union of the others, which are all that touch it.
     pub(super) fn marginal(&mut self, members: &[Member]) -> Marginal {
+        self.watching(members, std::iter::empty())
+    }
+
+    /// The same with contact: what it adds in its own planes.
+    pub(super) fn marginal_with_contact(&mut self, members: &[Member]) -> Marginal {
         let faces = members[NEW].piece.faces.iter();
-        self.ledger.watch(faces.map(|face| face.plane));
+        self.watching(members, faces.map(|face| face.plane))
+    }
+
+    fn watching(&mut self, members: &[Member], planes: impl Iterator<Item = Plane>) -> Marginal {
+        self.ledger.watch(planes);
         self.search(members);
         let change = self.ledger.room();
         Marginal {

@@ -338,25 +338,7 @@ impl Engine {
         };
         self.check(&effect)?;
         let mut added = Vec::with_capacity(counts.len());
-        if self.is_batch(&effect.inserted) {
-            self.insert_batch_of_moves(&effect.inserted, &counts, |one| added.push(one));
-            return Ok(added);
-        }
-        let mut rest = &effect.inserted[..];
-        for count in counts {
-            let (bodies, others) = rest.split_at(count);
-            rest = others;
-            match bodies {
-                [(id, body)] if body.len() == 1 => {
-                    let before = self.measures;
-                    let contact2 = Some(self.insert(*id, body));
-                    let mut measures = self.measures;
-                    measures.retract(&before);
-                    added.push(Added { measures, contact2 });
-                }
-                _ => self.insert_batch_of_moves(bodies, &[count], |one| added.push(one)),
-            }
-        }
+        self.insert_batch_of_moves(&effect.inserted, &counts, |one| added.push(one));
         Ok(added)
     }
 
@@ -414,8 +396,7 @@ impl Engine {
         }
     }
 
-    /// Inserts a body; what its parts add in their own planes, twice, is the contact of a body of one part.
-    fn insert(&mut self, id: SolidId, body: &Body) -> i128 {
+    fn insert(&mut self, id: SolidId, body: &Body) {
         let key = cursor(id);
         let mut slots = SmallVec::new();
         for index in 0..body.len() {
@@ -431,14 +412,12 @@ impl Engine {
             slots: slots.clone(),
         };
         self.bodies.insert(key, entry);
-        let mut contact2 = 0;
         for slot in slots {
             if self.slots.kept(slot).is_some() {
-                contact2 += self.place(slot);
+                self.place(slot);
             }
         }
         self.slots.tidy();
-        contact2
     }
 
     fn delete(&mut self, id: SolidId) {
@@ -501,8 +480,8 @@ impl Engine {
         neighbours
     }
 
-    /// Puts a part that is in no bin among the exposed or the covered ones, and adds what it adds; answers that of contact.
-    fn place(&mut self, slot: u32) -> i128 {
+    /// Puts a part that is in no bin among the exposed or the covered ones, and adds what it adds.
+    fn place(&mut self, slot: u32) {
         let piece = self.piece(slot);
         let neighbours = self.gather(&piece, slot);
         let own = Placed {
@@ -520,7 +499,7 @@ impl Engine {
             self.slots
                 .set_state(slot, State::Covered(alone.map(|other| other.slot)));
             self.covered.insert(slot, piece.bounds());
-            return 0;
+            return;
         }
         self.measures.add(&marginal.books.union);
         self.rest.add(&marginal.books.rest);
@@ -531,7 +510,6 @@ impl Engine {
         }
         self.slots.set_state(slot, State::Exposed(features));
         self.exposed.insert(slot, piece.bounds());
-        marginal.books.contact2
     }
 
     /// Takes a part out of its bin, retracts what it adds, and exposes covered parts that are bare without it.
