@@ -294,9 +294,9 @@ impl<T> GrpcStream<T> {
                     let busy = Status::unavailable(problem.detail);
                     return self.connect_again(busy).await.map(|()| None);
                 }
-                let sent = self.in_flight.iter();
-                let mut sent = sent.filter(|sent| sent.message.tag == refused.tag);
-                let change = sent.next().and_then(|sent| sent.message.change.as_ref());
+                let mut sent = self.in_flight.iter();
+                let sent = sent.find(|sent| sent.message.tag == refused.tag);
+                let change = sent.and_then(|sent| sent.message.change.as_ref());
                 // What a program sends names the line as its move.
                 let line = change.and_then(|change| change.r#move);
                 let line = line.map_or_else(String::new, |line| format!("line {line}: "));
