@@ -11,6 +11,7 @@ use config::{Config, ConfigError, Environment, File, FileFormat, Map};
 use serde::{Deserialize, Serialize};
 
 use crate::service::{CHANGE_OPERATIONS_MAX, ServiceConfig};
+use crate::wire::door::{self, CertificateFiles};
 
 /// How log lines look.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, Deserialize, clap::ValueEnum)]
@@ -30,6 +31,26 @@ pub struct ServeConfig {
     pub http: SocketAddr,
     /// Address that gRPC listens on; port 0 picks a free one.
     pub grpc: SocketAddr,
+    /// The server's TLS certificate and those that lead to its authority, as PEM; with it all connections are encrypted.
+    pub tls_certificate: Option<PathBuf>,
+    /// Its private key, as PEM.
+    pub tls_key: Option<PathBuf>,
+    /// The authorities, as PEM, of which every client must have a certificate.
+    pub tls_client_ca: Option<PathBuf>,
+    /// Seconds between two looks at these files; when they have changed, the next connection has what is new.
+    pub tls_renewal_seconds: NonZeroU64,
+    /// Connections at a time, of HTTP and gRPC together; further ones are closed at once.
+    pub connections_max: NonZeroUsize,
+    /// The same of one address; of IPv6, of the 2^64 that one customer has. Behind a proxy all clients have its address.
+    pub connections_per_address_max: NonZeroUsize,
+    /// Seconds that a TLS handshake may take.
+    pub handshake_timeout_seconds: NonZeroU64,
+    /// Seconds that the head of a request may take to arrive.
+    pub head_timeout_seconds: NonZeroU64,
+    /// Seconds that a connection may stay without a request.
+    pub idle_timeout_seconds: NonZeroU64,
+    /// Seconds that a client may leave what is answered unread.
+    pub unread_timeout_seconds: NonZeroU64,
     /// Data directory.
     pub data: PathBuf,
     /// Changes that may wait in one scene's queue; more are answered 429.
@@ -71,6 +92,46 @@ pub struct ServeFlags {
     #[arg(long, value_name = "ADDRESS")]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub grpc: Option<SocketAddr>,
+    /// The server's TLS certificate and those that lead to its authority, as PEM; with it all connections are encrypted
+    #[arg(long, value_name = "FILE")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tls_certificate: Option<PathBuf>,
+    /// Its private key, as PEM
+    #[arg(long, value_name = "FILE")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tls_key: Option<PathBuf>,
+    /// The authorities, as PEM, of which every client must have a certificate
+    #[arg(long, value_name = "FILE")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tls_client_ca: Option<PathBuf>,
+    /// Seconds between two looks at these files; what is new in them holds from the next connection on [default: 10]
+    #[arg(long, value_name = "SECONDS")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tls_renewal_seconds: Option<NonZeroU64>,
+    /// Connections at a time, of HTTP and gRPC together; further ones are closed at once [default: 1024]
+    #[arg(long, value_name = "COUNT")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub connections_max: Option<NonZeroUsize>,
+    /// The same of one address; behind a proxy all clients have its address [default: 256]
+    #[arg(long, value_name = "COUNT")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub connections_per_address_max: Option<NonZeroUsize>,
+    /// Seconds that a TLS handshake may take [default: 10]
+    #[arg(long, value_name = "SECONDS")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub handshake_timeout_seconds: Option<NonZeroU64>,
+    /// Seconds that the head of a request may take to arrive [default: 10]
+    #[arg(long, value_name = "SECONDS")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub head_timeout_seconds: Option<NonZeroU64>,
+    /// Seconds that a connection may stay without a request [default: 300]
+    #[arg(long, value_name = "SECONDS")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub idle_timeout_seconds: Option<NonZeroU64>,
+    /// Seconds that a client may leave what is answered unread [default: 60]
+    #[arg(long, value_name = "SECONDS")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub unread_timeout_seconds: Option<NonZeroU64>,
     /// Data directory; created when it is not there [default: union3d-data]
     #[arg(long, value_name = "DIRECTORY")]
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -145,6 +206,16 @@ impl Default for ServeConfig {
         Self {
             http: SocketAddr::from(([127, 0, 0, 1], 7373)),
             grpc: SocketAddr::from(([127, 0, 0, 1], 7374)),
+            tls_certificate: None,
+            tls_key: None,
+            tls_client_ca: None,
+            tls_renewal_seconds: whole(10),
+            connections_max: count(1024),
+            connections_per_address_max: count(256),
+            handshake_timeout_seconds: whole(10),
+            head_timeout_seconds: whole(10),
+            idle_timeout_seconds: whole(300),
+            unread_timeout_seconds: whole(60),
             data: "union3d-data".into(),
             queue_changes_max: count(1024),
             group_operations_max: count(65_536),
@@ -209,7 +280,44 @@ impl ServeConfig {
                 config.change_cubes_max
             ))));
         }
+        if let Some(missing) = config.missing_for_tls() {
+            return Err(InvalidConfig(ConfigError::Message(missing.to_owned())));
+        }
         Ok(config)
+    }
+
+    /// What encryption needs and is not set.
+    fn missing_for_tls(&self) -> Option<&'static str> {
+        match (&self.tls_certificate, &self.tls_key, &self.tls_client_ca) {
+            (Some(_), None, _) => Some("tls_certificate is set, and tls_key is not"),
+            (None, Some(_), _) => Some("tls_key is set, and tls_certificate is not"),
+            (None, None, Some(_)) => {
+                Some("tls_client_ca is set, and tls_certificate and tls_key are not")
+            }
+            _ => None,
+        }
+    }
+
+    /// Where certificates are, when connections are to be encrypted.
+    pub fn certificates(&self) -> Option<CertificateFiles> {
+        Some(CertificateFiles {
+            certificate: self.tls_certificate.clone()?,
+            key: self.tls_key.clone()?,
+            client_ca: self.tls_client_ca.clone(),
+        })
+    }
+
+    /// The part that the door needs.
+    pub fn door(&self) -> door::Settings {
+        let seconds = |number: NonZeroU64| Duration::from_secs(number.get());
+        door::Settings {
+            connections_max: self.connections_max.get(),
+            connections_per_address_max: self.connections_per_address_max.get(),
+            handshake_timeout: seconds(self.handshake_timeout_seconds),
+            head_timeout: seconds(self.head_timeout_seconds),
+            idle_timeout: seconds(self.idle_timeout_seconds),
+            unread_timeout: seconds(self.unread_timeout_seconds),
+        }
     }
 
     /// The part that the service needs.

@@ -102,3 +102,21 @@ fn a_file_that_is_not_there_is_refused_by_name() {
         "{error}"
     );
 }
+
+#[test]
+fn a_certificate_without_its_key_is_refused() {
+    for (text, key) in [
+        ("tls_certificate = 'a'", "tls_key"),
+        ("tls_key = 'a'", "tls_certificate"),
+        ("tls_client_ca = 'a'", "tls_certificate"),
+    ] {
+        let error = merge(text, &[], &ServeFlags::default()).unwrap_err();
+        assert!(error.contains(key), "{text}: {error}");
+    }
+    let list = [("UNION3D_TLS_KEY", "b")];
+    let config = merge("tls_certificate = 'a'", &list, &ServeFlags::default()).unwrap();
+    let files = config.certificates().unwrap();
+    assert_eq!(files.certificate, PathBuf::from("a"));
+    assert_eq!(files.key, PathBuf::from("b"));
+    assert_eq!(files.client_ca, None);
+}

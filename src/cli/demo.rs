@@ -19,8 +19,9 @@ use union3d::geometry::Place;
 use union3d::service::{Readiness, Service};
 use union3d::toolpath::{Event, Interpreter, Motion, Options};
 use union3d::wire::convert::{Anchor, Settings, SettingsDocument};
-use union3d::wire::grpc;
-use union3d::wire::http::{self, Limits};
+use union3d::wire::door::Door;
+use union3d::wire::http::Limits;
+use union3d::wire::{grpc, http};
 
 /// The program that is milled.
 const PROGRAM: &str = include_str!("demo.gcode");
@@ -84,15 +85,21 @@ async fn demo(args: Args, config: &ServeConfig) -> Result<(), Box<dyn std::error
     let grpc_address = grpc_listener.local_addr()?;
     let service = Service::start(config.service())?;
     let stop = CancellationToken::new();
-    let router = http::router(service.clone(), Limits::default());
-    let http = axum::serve(listener, router).with_graceful_shutdown(stop.clone().cancelled_owned());
-    let grpc = grpc::serve(
-        grpc_listener,
-        service.clone(),
-        Limits::default(),
-        stop.clone(),
-    );
-    let server = tokio::spawn(async { tokio::join!(http, grpc) });
+    let server = tokio::spawn({
+        let (service, stop) = (service.clone(), stop.clone());
+        async move {
+            let (door, limits) = (Door::default(), Limits::default());
+            let http = http::serve(
+                door.clone(),
+                listener,
+                service.clone(),
+                limits,
+                stop.clone(),
+            );
+            let grpc = grpc::serve(door, grpc_listener, service, limits, stop);
+            tokio::join!(http, grpc)
+        }
+    });
     writeln!(
         std::io::stdout(),
         "serving {url} grpc://{grpc_address} (data in {})",

@@ -4,9 +4,9 @@ use std::io::{IsTerminal, Write};
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::sync::Arc;
 use std::time::Duration;
 
-use axum::serve::ListenerExt;
 use indicatif::{ProgressBar, ProgressStyle};
 use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
@@ -14,8 +14,9 @@ use tokio_util::sync::CancellationToken;
 use tracing_subscriber::EnvFilter;
 use union3d::config::{LogFormat, ServeConfig, ServeFlags};
 use union3d::service::{Readiness, Service};
-use union3d::wire::grpc;
-use union3d::wire::http::{Limits, install_metrics, router};
+use union3d::wire::door::{Door, Tls};
+use union3d::wire::http::{Limits, install_metrics};
+use union3d::wire::{grpc, http};
 
 use super::Outcome;
 
@@ -27,7 +28,8 @@ const CLOSE: Duration = Duration::from_secs(5);
 
 /// Run the server
 ///
-/// Prints one line, `listening http://ADDRESS grpc://ADDRESS`, on standard output once it listens, and logs to standard error. Scenes that are
+/// Prints one line, `listening http://ADDRESS grpc://ADDRESS` (with TLS, https and grpcs), on standard output once it listens, and logs to
+/// standard error. Scenes that are
 /// there already are replayed in the background: GET /readyz is 503 until that is done. Ctrl-C (SIGINT) or SIGTERM drains what
 /// waits and stops; a second one stops at once, which loses nothing that was acknowledged.
 ///
@@ -47,11 +49,16 @@ pub(crate) fn run(args: Args) -> Outcome {
     let Args { config, flags } = args;
     let config = ServeConfig::load(config.as_deref(), &flags)?;
     start_log(&config)?;
+    let secure = if config.tls_certificate.is_some() {
+        "s"
+    } else {
+        ""
+    };
     let runtime = tokio::runtime::Runtime::new()?;
     runtime.block_on(serve(&config, |http, grpc| {
         let mut out = std::io::stdout();
-        let told =
-            writeln!(out, "listening http://{http} grpc://{grpc}").and_then(|()| out.flush());
+        let told = writeln!(out, "listening http{secure}://{http} grpc{secure}://{grpc}");
+        let told = told.and_then(|()| out.flush());
         if let Err(error) = told {
             // Who started it does not read; it serves all the same.
             tracing::warn!("cannot print the addresses: {error}");
@@ -72,6 +79,12 @@ pub(crate) async fn serve(
             _ = terminate.recv() => "SIGTERM",
         }
     };
+    let tls = config
+        .certificates()
+        .map(Tls::load)
+        .transpose()?
+        .map(Arc::new);
+    let door = Door::new(config.door(), tls.clone());
     let listener = listen(config.http, "--http").await?;
     let grpc_listener = listen(config.grpc, "--grpc").await?;
     let (address, grpc_address) = (listener.local_addr()?, grpc_listener.local_addr()?);
@@ -84,24 +97,28 @@ pub(crate) async fn serve(
         request_timeout: Duration::from_secs(config.request_timeout_seconds.get()),
         wait_max: Duration::from_secs(config.wait_seconds_max.get()),
     };
-    // Answers are small and somebody waits for each.
-    let listener = listener.tap_io(|stream| {
-        if let Err(error) = stream.set_nodelay(true) {
-            tracing::debug!("cannot set TCP_NODELAY: {error}");
-        }
-    });
     let draining = CancellationToken::new();
-    let http = axum::serve(listener, router(service.clone(), limits))
-        .with_graceful_shutdown(draining.clone().cancelled_owned());
-    let grpc = grpc::serve(grpc_listener, service.clone(), limits, draining.clone());
     // Both or none: half a server would hide that the other half is gone.
-    let mut server = tokio::spawn(async {
-        let http = async { http.await.map_err(|error| format!("HTTP: {error}")) };
-        let grpc = async { grpc.await.map_err(|error| format!("gRPC: {error}")) };
-        tokio::try_join!(http, grpc)
+    let mut server = tokio::spawn({
+        let (service, draining) = (service.clone(), draining.clone());
+        async move {
+            let http = http::serve(
+                door.clone(),
+                listener,
+                service.clone(),
+                limits,
+                draining.clone(),
+            );
+            let grpc = grpc::serve(door, grpc_listener, service, limits, draining);
+            tokio::join!(http, grpc)
+        }
     });
     ready(address, grpc_address);
     let watcher = tokio::spawn(show_recovery(service.clone()));
+    let renewing = tls.map(|tls| {
+        let pause = Duration::from_secs(config.tls_renewal_seconds.get());
+        tokio::spawn(tls.keep_renewed(pause))
+    });
 
     let cause = tokio::select! {
         cause = stop() => cause,
@@ -109,6 +126,9 @@ pub(crate) async fn serve(
     };
     tracing::info!("{cause}: draining; once more to stop at once");
     watcher.abort();
+    if let Some(renewing) = renewing {
+        renewing.abort();
+    }
     draining.cancel();
     let end = async {
         // What is under way may finish; then changes are refused, which ends the streams, and what waits is done.

@@ -1,6 +1,7 @@
 //! The outside world: HTTP and gRPC in, lattice steps out, and back.
 //!
 //! ```text
+//!   connections ── door ──> http, grpc
 //!   request ── http ─┬─ decode ── convert ── calls, atomic ──> service
 //!              grpc ─┘
 //!   answer  <─ http, grpc ── convert ─────── Published <────── service
@@ -14,6 +15,7 @@ pub mod convert;
 pub mod decode;
 mod decoded;
 pub mod documents;
+pub mod door;
 pub mod grpc;
 pub mod http;
 mod kind;

@@ -11,13 +11,14 @@ use tonic::transport::{Channel, Endpoint};
 use tonic::{Code, Status};
 use tonic_types::StatusExt;
 use union3d::service::{FailHook, Readiness, Service, ServiceConfig};
-use union3d::wire::grpc;
-use union3d::wire::http::{Limits, router};
+use union3d::wire::door::Door;
+use union3d::wire::http::Limits;
 use union3d::wire::proto::union_service_client::UnionServiceClient;
 use union3d::wire::proto::{
     ApplyChangeRequest, Change, CreateSceneRequest, Detail, GetMassPropertiesRequest,
     MassProperties, Outcome, SceneSettings,
 };
+use union3d::wire::{grpc, http};
 
 /// How long is waited for what must come: so long that a hang is told from a slow machine.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
@@ -69,13 +70,19 @@ impl Server {
         }
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let http = format!("http://{}", listener.local_addr().unwrap());
-        let app = router(service.clone(), limits);
-        tokio::spawn(async move { axum::serve(listener, app).await.unwrap() });
+        let (door, draining) = (Door::default(), CancellationToken::new());
+        let served = http::serve(
+            door.clone(),
+            listener,
+            service.clone(),
+            limits,
+            draining.clone(),
+        );
+        tokio::spawn(served);
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let grpc = format!("http://{}", listener.local_addr().unwrap());
-        let draining = CancellationToken::new();
-        let served = grpc::serve(listener, service.clone(), limits, draining.clone());
-        let serving = tokio::spawn(async { served.await.unwrap() });
+        let served = grpc::serve(door, listener, service.clone(), limits, draining.clone());
+        let serving = tokio::spawn(served);
         let client = UnionServiceClient::new(channel(&grpc).await);
         Self {
             http,

@@ -107,7 +107,7 @@ async fn changes_are_acknowledged_in_order_with_their_totals() {
 /// unread small frames as an attack ended such a connection after some 2,300 of them, with nothing acknowledged.
 #[tokio::test]
 async fn small_changes_wait_for_a_slow_disk_however_many_they_are() {
-    const CHANGES: u64 = 6_000;
+    const CHANGES: u64 = 4_000;
     let stop = Arc::new(Stop::default());
     let server = Server::with(
         Limits::default(),

@@ -7,8 +7,10 @@ use reqwest::header::HeaderMap;
 use reqwest::{Method, RequestBuilder};
 use serde_json::Value;
 use tempfile::TempDir;
+use tokio_util::sync::CancellationToken;
 use union3d::service::{FailHook, Readiness, Service, ServiceConfig};
-use union3d::wire::http::{Limits, router};
+use union3d::wire::door::Door;
+use union3d::wire::http::{self, Limits};
 
 use crate::described;
 
@@ -59,8 +61,14 @@ impl Server {
         .await;
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap().to_string();
-        let app = router(service.clone(), limits);
-        tokio::spawn(async move { axum::serve(listener, app).await.unwrap() });
+        let serving = http::serve(
+            Door::default(),
+            listener,
+            service.clone(),
+            limits,
+            CancellationToken::new(),
+        );
+        tokio::spawn(serving);
         Self {
             address,
             service,

@@ -2,7 +2,7 @@
 //! answer is `calls` and `atomic`, as for HTTP.
 //!
 //! ```text
-//!   request ── id, trace, measure ── panics ── handler ── service
+//!   request ── id, trace, measure ── panics ── deadlines ── handler ── service
 //!   beside it: health (serving once every scene is replayed) and reflection
 //! ```
 
@@ -13,18 +13,20 @@ mod service;
 mod solids;
 mod status;
 mod stream;
+mod time;
 
 use std::any::Any;
 use std::time::Duration;
 
 use axum::http::{Request, Response};
+use axum::middleware;
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 use tonic::body::Body;
-use tonic::transport::Server;
-use tonic::transport::server::TcpIncoming;
+use tonic::service::Routes;
 use tonic_health::ServingStatus;
 use tonic_health::server::{HealthReporter, health_reporter};
+use tower::ServiceBuilder;
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetRequestIdLayer};
 use tower_http::trace::TraceLayer;
@@ -32,41 +34,25 @@ use tower_http::trace::TraceLayer;
 pub use self::mass_properties::Missing;
 use self::service::Calls;
 use super::calls;
+use super::door::{Door, Protocol};
 use super::http::Limits;
 use super::problem::Problem;
 use super::proto::FILE_DESCRIPTOR_SET;
 use super::proto::union_service_server::{SERVICE_NAME, UnionServiceServer};
 use crate::service::{Readiness, Service};
 
-/// A connection on which nothing comes for so long is asked whether it is still there, and closed when it does not answer.
-const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(30);
-const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(20);
-
-/// Calls of one connection at a time; a client that needs more opens another connection.
-const CONNECTION_CALLS_MAX: u32 = 256;
-
-/// Bytes of one call that may be on their way here before the call reads them: flow control holds back a client that sends more.
-const CALL_WINDOW_BYTES: u32 = 256 << 10;
-
-/// The same of all calls of a connection together. So large that it is the windows of the calls that hold a client back: the HTTP/2
-/// library takes each unread frame below 256 bytes for so many bytes out of half of this, and closes the connection of a client
-/// that uses it up. A change of one cube is a frame of some 25 bytes, so that a call whose window is full of them takes up to ten
-/// times its window. What a connection can make us keep is the windows of its calls, 64 MiB, whatever stands here.
-const CONNECTION_WINDOW_BYTES: u32 = 2 * 10 * CONNECTION_CALLS_MAX * CALL_WINDOW_BYTES;
-
 /// How often it is looked whether every scene is replayed.
 const READINESS_PAUSE: Duration = Duration::from_millis(50);
 
 /// Serves the gRPC API of a service until `draining` is cancelled and the calls that are under way then have ended; streams
 /// that have no end of their own are ended.
-/// # Errors
-/// The listener fails.
 pub async fn serve(
+    door: Door,
     listener: TcpListener,
     service: Service,
     limits: Limits,
     draining: CancellationToken,
-) -> Result<(), tonic::transport::Error> {
+) {
     let (reporter, health) = health_reporter();
     set_health(&reporter, ServingStatus::NotServing).await;
     let calls = Calls {
@@ -81,27 +67,26 @@ pub async fn serve(
             .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
     };
     let well_formed = "the compiler of the messages wrote the descriptors";
-    let server = Server::builder()
-        .http2_keepalive_interval(Some(KEEPALIVE_INTERVAL))
-        .http2_keepalive_timeout(Some(KEEPALIVE_TIMEOUT))
-        .max_concurrent_streams(CONNECTION_CALLS_MAX)
-        .initial_stream_window_size(CALL_WINDOW_BYTES)
-        .initial_connection_window_size(CONNECTION_WINDOW_BYTES)
-        .layer(SetRequestIdLayer::x_request_id(MakeRequestUuid))
-        .layer(TraceLayer::new_for_grpc().make_span_with(span))
-        .layer(PropagateRequestIdLayer::x_request_id())
-        .layer(measure::layer())
-        .layer(CatchPanicLayer::custom(panicked))
-        .add_service(health)
+    let calls = Routes::new(health)
         .add_service(reflection().build_v1().expect(well_formed))
         // Common tools still ask in the older way.
         .add_service(reflection().build_v1alpha().expect(well_formed))
         .add_service(calls);
-    // Answers are small and somebody waits for each.
-    let incoming = TcpIncoming::from(listener).with_nodelay(Some(true));
-    let serving = server.serve_with_incoming_shutdown(incoming, draining.cancelled());
+    let router = calls.prepare().into_axum_router().layer(
+        ServiceBuilder::new()
+            .layer(SetRequestIdLayer::x_request_id(MakeRequestUuid))
+            .layer(TraceLayer::new_for_grpc().make_span_with(span))
+            .layer(PropagateRequestIdLayer::x_request_id())
+            .layer(measure::layer())
+            .layer(CatchPanicLayer::custom(panicked))
+            .layer(middleware::from_fn_with_state(
+                limits.request_timeout,
+                time::in_time,
+            )),
+    );
+    let serving = door.serve(listener, Protocol::Grpc, router, draining.clone());
     let showing = show_health(&reporter, &service, &draining);
-    tokio::join!(serving, showing).0
+    tokio::join!(serving, showing);
 }
 
 /// Shows that the service serves, from when every scene is replayed until it drains.

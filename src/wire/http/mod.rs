@@ -28,6 +28,8 @@ use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodRouter, get, post, put};
 use metrics_exporter_prometheus::PrometheusHandle;
+use tokio::net::TcpListener;
+use tokio_util::sync::CancellationToken;
 use tower::ServiceBuilder;
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::compression::CompressionLayer;
@@ -38,6 +40,7 @@ use utoipa_swagger_ui::SwaggerUi;
 pub use self::operate::install_metrics;
 use self::request::Room;
 use super::calls::{self, within};
+use super::door::{Door, Protocol};
 use super::problem::{Code, Problem};
 use crate::service::Service;
 
@@ -137,8 +140,20 @@ pub fn paths() -> Vec<&'static str> {
     routes.map(|(path, _)| path).collect()
 }
 
+/// Serves the HTTP API of a service until `draining` is cancelled and the requests that are under way then are answered.
+pub async fn serve(
+    door: Door,
+    listener: TcpListener,
+    service: Service,
+    limits: Limits,
+    draining: CancellationToken,
+) {
+    let router = router(service, limits);
+    door.serve(listener, Protocol::Http, router, draining).await;
+}
+
 /// The HTTP API of a service.
-pub fn router(service: Service, limits: Limits) -> Router {
+fn router(service: Service, limits: Limits) -> Router {
     let app = App {
         service,
         limits,

@@ -34,6 +34,7 @@ pub fn install_metrics() -> PrometheusHandle {
             tracing::warn!("another recorder of metrics is installed; /metrics stays empty");
         }
         crate::service::describe_metrics();
+        crate::wire::door::describe_metrics();
         metrics::describe_counter!("union3d_http_requests_total", "Requests answered");
         metrics::describe_histogram!(
             "union3d_http_request_duration_seconds",
