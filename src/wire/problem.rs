@@ -87,8 +87,6 @@ kinds! {
         "A scene is of cubes or of solids, for its life. This call is for the other kind; the detail names the scene's.";
     ShapeExists "shape-exists" 409 None, "The shape cannot be defined",
         "There is another shape of this name, and a shape never changes; or the scene has as many shapes as it may, 1,024. Take another name, or a shape that is there.";
-    IdsExhausted "ids-exhausted" 409 None, "The server has no ids left to give",
-        "Give the ids yourself.";
     SeqNotKept "seq-not-kept" 410 None, "This seq is no longer kept",
         "`oldest` is the oldest whose totals are kept.";
     NotReachable "seq-not-reachable" 410 None, "This seq can no longer be gone back to",
@@ -412,7 +410,6 @@ impl From<ServiceError> for Problem {
                 problem(Code::SceneFull)
             }
             ServiceError::OtherKind { .. } => problem(Code::OtherKind),
-            ServiceError::IdsExhausted { .. } => problem(Code::IdsExhausted),
             ServiceError::TooManyOperations { .. } => problem(Code::TooLarge),
             ServiceError::KeyReused => problem(Code::KeyReused),
             ServiceError::SeqNotKept { oldest, .. } => {

@@ -185,12 +185,7 @@ fn answer(message: response::Message) -> StreamChangesResponse {
 fn concerns_the_change(code: Code) -> bool {
     matches!(
         code,
-        Code::Invalid
-            | Code::TooLarge
-            | Code::IdConflict
-            | Code::IdsExhausted
-            | Code::SceneFull
-            | Code::KeyReused
+        Code::Invalid | Code::TooLarge | Code::IdConflict | Code::SceneFull | Code::KeyReused
     )
 }
 

@@ -194,10 +194,10 @@ fn complete_parameter(parameter: &mut Map<String, Value>) {
 /// What a call may fail with, besides [`EVERY_CALL`] and, where a scene must answer, [`EVERY_SCENE`].
 fn failures(operation: &str) -> &'static [Code] {
     use Code::{
-        AuditDifference, BadJson, BadProtobuf, DiskFull, IdConflict, IdsExhausted, KeyReused,
-        NoSuchCube, NoSuchPath, NotReachable, OtherKind, QueueFull, Recovering, RequestTimeout,
-        SceneExists, SceneFull, SeqNotKept, SeqNotReached, ShapeExists, ShuttingDown,
-        StorageFailed, TooLarge, UnsupportedMediaType, WaitTimeout,
+        AuditDifference, BadJson, BadProtobuf, DiskFull, IdConflict, KeyReused, NoSuchCube,
+        NoSuchPath, NotReachable, OtherKind, QueueFull, Recovering, RequestTimeout, SceneExists,
+        SceneFull, SeqNotKept, SeqNotReached, ShapeExists, ShuttingDown, StorageFailed, TooLarge,
+        UnsupportedMediaType, WaitTimeout,
     };
     match operation {
         "put_scene" => &[
@@ -217,7 +217,6 @@ fn failures(operation: &str) -> &'static [Code] {
             BadProtobuf,
             RequestTimeout,
             IdConflict,
-            IdsExhausted,
             TooLarge,
             UnsupportedMediaType,
             SceneFull,
