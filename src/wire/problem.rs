@@ -22,6 +22,12 @@ pub const FAULTS_MAX: usize = 100;
 /// Longest piece of a client's text that an answer repeats, in bytes.
 const ECHO_BYTES_MAX: usize = 80;
 
+/// Longest place of a fault, which may be a name that the client made up, in bytes.
+const PLACE_BYTES_MAX: usize = 512;
+
+/// Longest detail, which may repeat a place or a name, in bytes.
+const DETAIL_BYTES_MAX: usize = 2_048;
+
 /// What a type of problem means.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, ToSchema)]
 pub struct Kind {
@@ -197,6 +203,18 @@ fn echo(raw: &str) -> Value {
     match serde_json::from_str(raw) {
         Ok(Value::Number(number)) if number.is_f64() && !raw.contains(['.', 'e', 'E']) => {
             Value::String(shortened(raw))
+
+    /// As it may be answered, however long the names are that were sent.
+    fn bounded(mut self) -> Self {
+        self.pointer = self.pointer.map(|place| cut(place, PLACE_BYTES_MAX));
+        let name = |name: Cow<'static, str>| match name {
+            Cow::Owned(name) => Cow::Owned(cut(name, PLACE_BYTES_MAX)),
+            known => known,
+        };
+        self.parameter = self.parameter.map(name);
+        self.detail = name(self.detail);
+        self
+    }
         }
         Ok(value) if scalar => value,
         _ => Value::String(shortened(raw)),
@@ -204,10 +222,16 @@ fn echo(raw: &str) -> Value {
 }
 
 fn shortened(text: &str) -> String {
-    if text.len() <= ECHO_BYTES_MAX {
-        return text.to_owned();
+    cut(text.to_owned(), ECHO_BYTES_MAX)
+}
+
+/// A text of at most so many bytes, with dots where more is cut off.
+fn cut(mut text: String, bytes_max: usize) -> String {
+    if text.len() > bytes_max {
+        text.truncate(text.floor_char_boundary(bytes_max));
+        text += "...";
     }
-    format!("{}...", &text[..text.floor_char_boundary(ECHO_BYTES_MAX)])
+    text
 }
 
 /// The first hundred faults of a request.
@@ -261,13 +285,14 @@ impl Faults {
 
     /// The faults as one problem.
     pub fn into_problem(self) -> Problem {
-        let detail = match self.0.as_slice() {
+        let faults: Vec<Fault> = self.0.into_iter().map(Fault::bounded).collect();
+        let detail = match faults.as_slice() {
             [only] => described(only),
             [first, ..] => format!("{}, and other faults: see errors", described(first)),
             [] => "the request is wrong".to_owned(),
         };
         let mut problem = Problem::new(Code::Invalid, detail);
-        problem.0.faults = self.0;
+        problem.0.faults = faults;
         problem
     }
 }
@@ -305,7 +330,7 @@ impl Problem {
     pub fn new(code: Code, detail: impl Into<String>) -> Self {
         Self(Box::new(Contents {
             code,
-            detail: detail.into(),
+            detail: cut(detail.into(), DETAIL_BYTES_MAX),
             faults: vec![],
             members: Map::new(),
         }))
@@ -321,7 +346,7 @@ impl Problem {
     /// Adds a fault with its place.
     #[must_use]
     pub fn with_fault(mut self, fault: Fault) -> Self {
-        self.0.faults.push(fault);
+        self.0.faults.push(fault.bounded());
         self
     }
 
