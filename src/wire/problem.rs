@@ -71,6 +71,12 @@ kinds! {
         "`line` and `column` say where reading stopped; for a stream `line` is the line of the stream. Nothing of the change was applied.";
     BadProtobuf "bad-protobuf" 400 None, "The body is not a protobuf message",
         "The body must be one message union3d.v1.Change.";
+    Unauthenticated "unauthenticated" 401 None, "A key is needed",
+        "This server has keys, and none that it knows was sent. Send Authorization: Bearer KEY.";
+    Forbidden "forbidden" 403 None, "The key has not this right",
+        "The rights of a key are read, write and admin, on scenes by their names. The file of keys says them.";
+    OriginNotAllowed "origin-not-allowed" 403 None, "Pages of this origin may not ask",
+        "A browser sent this for a page that is not of this server. Who runs the server can allow the page's origin: --allow-origin.";
     NoSuchPath "no-such-path" 404 None, "There is nothing at this path",
         "/openapi.json and /docs describe every path.";
     NoSuchScene "no-such-scene" 404 None, "There is no such scene",
@@ -101,6 +107,8 @@ kinds! {
         "Split the change, or send application/x-ndjson, which has no limit as a whole; go back by way of a seq in between.";
     UnsupportedMediaType "unsupported-media-type" 415 None, "The body's type is not taken here",
         "The detail lists the types that are. Content-Encoding is not taken.";
+    HostNotAllowed "host-not-allowed" 421 None, "The server does not go by this name",
+        "The name in Host, or :authority, is none of this server's: its addresses, those of loopback, and the names of --allowed-host. So a page cannot point a name of its own at this server.";
     Invalid "invalid" 422 None, "The request can be read but is wrong",
         "`errors` names the first hundred faults, each with its place and value. Nothing of the change was applied; of a stream the first `committed_lines`.";
     SceneFull "scene-full" 422 None, "The scene would hold too many cubes or solids",
@@ -195,14 +203,6 @@ impl Fault {
             value: Some(Value::String(shortened(value))),
         }
     }
-}
-
-/// A client's JSON as it may be repeated: scalars as they are, as text what is long or what a number cannot hold.
-fn echo(raw: &str) -> Value {
-    let scalar = raw.len() <= ECHO_BYTES_MAX && !raw.starts_with(['{', '[']);
-    match serde_json::from_str(raw) {
-        Ok(Value::Number(number)) if number.is_f64() && !raw.contains(['.', 'e', 'E']) => {
-            Value::String(shortened(raw))
 
     /// As it may be answered, however long the names are that were sent.
     fn bounded(mut self) -> Self {
@@ -215,6 +215,14 @@ fn echo(raw: &str) -> Value {
         self.detail = name(self.detail);
         self
     }
+}
+
+/// A client's JSON as it may be repeated: scalars as they are, as text what is long or what a number cannot hold.
+fn echo(raw: &str) -> Value {
+    let scalar = raw.len() <= ECHO_BYTES_MAX && !raw.starts_with(['{', '[']);
+    match serde_json::from_str(raw) {
+        Ok(Value::Number(number)) if number.is_f64() && !raw.contains(['.', 'e', 'E']) => {
+            Value::String(shortened(raw))
         }
         Ok(value) if scalar => value,
         _ => Value::String(shortened(raw)),
@@ -489,6 +497,13 @@ impl IntoResponse for Problem {
                 members,
             });
         let mut response = details.into_response();
+        response.extensions_mut().insert(code);
+        if code == Code::Unauthenticated {
+            const CHALLENGE: HeaderValue = HeaderValue::from_static("Bearer realm=\"union3d\"");
+            response
+                .headers_mut()
+                .insert(header::WWW_AUTHENTICATE, CHALLENGE);
+        }
         if let Some(seconds) = kind.retry_after_seconds {
             response
                 .headers_mut()

@@ -8,6 +8,7 @@ use reqwest::{Method, RequestBuilder};
 use serde_json::Value;
 use tempfile::TempDir;
 use union3d::service::{FailHook, Readiness, Service, ServiceConfig};
+use union3d::wire::access::Access;
 use union3d::wire::http::{Limits, router};
 
 use crate::described;
@@ -47,6 +48,26 @@ impl Server {
         faults: Option<FailHook>,
     ) -> Self {
         let data = tempfile::tempdir().unwrap();
+        Self::of(data, limits, config, faults, Access::default()).await
+    }
+
+    /// For those who may.
+    pub(crate) async fn guarded(access: Access) -> Self {
+        Self::guarded_on(tempfile::tempdir().unwrap(), access).await
+    }
+
+    /// The same on data that is there.
+    pub(crate) async fn guarded_on(data: TempDir, access: Access) -> Self {
+        Self::of(data, Limits::default(), |config| config, None, access).await
+    }
+
+    async fn of(
+        data: TempDir,
+        limits: Limits,
+        config: impl FnOnce(ServiceConfig) -> ServiceConfig,
+        faults: Option<FailHook>,
+        access: Access,
+    ) -> Self {
         let config = config(ServiceConfig::new(data.path()));
         let service = match faults {
             Some(faults) => Service::start_with_failpoints(config, faults).unwrap(),
@@ -59,7 +80,7 @@ impl Server {
         .await;
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap().to_string();
-        let app = router(service.clone(), limits);
+        let app = router(service.clone(), limits, access);
         tokio::spawn(async move { axum::serve(listener, app).await.unwrap() });
         Self {
             address,

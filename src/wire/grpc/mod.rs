@@ -2,10 +2,11 @@
 //! answer is `calls` and `atomic`, as for HTTP.
 //!
 //! ```text
-//!   request ── id, trace, measure ── panics ── handler ── service
+//!   request ── id, trace, measure ── panics ── hosts, keys ── handler ── service
 //!   beside it: health (serving once every scene is replayed) and reflection
 //! ```
 
+mod admission;
 mod mass_properties;
 mod measure;
 mod messages;
@@ -17,6 +18,7 @@ mod stream;
 use std::any::Any;
 use std::time::Duration;
 
+use axum::http::header::AUTHORIZATION;
 use axum::http::{Request, Response};
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
@@ -27,10 +29,12 @@ use tonic_health::ServingStatus;
 use tonic_health::server::{HealthReporter, health_reporter};
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetRequestIdLayer};
+use tower_http::sensitive_headers::SetSensitiveRequestHeadersLayer;
 use tower_http::trace::TraceLayer;
 
 pub use self::mass_properties::Missing;
 use self::service::Calls;
+use super::access::Access;
 use super::calls;
 use super::http::Limits;
 use super::problem::Problem;
@@ -65,6 +69,7 @@ pub async fn serve(
     listener: TcpListener,
     service: Service,
     limits: Limits,
+    access: Access,
     draining: CancellationToken,
 ) -> Result<(), tonic::transport::Error> {
     let (reporter, health) = health_reporter();
@@ -79,6 +84,8 @@ pub async fn serve(
         tonic_reflection::server::Builder::configure()
             .register_encoded_file_descriptor_set(FILE_DESCRIPTOR_SET)
             .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+            // What the details of a status are made of.
+            .register_encoded_file_descriptor_set(tonic_types::pb::FILE_DESCRIPTOR_SET)
     };
     let well_formed = "the compiler of the messages wrote the descriptors";
     let server = Server::builder()
@@ -88,10 +95,12 @@ pub async fn serve(
         .initial_stream_window_size(CALL_WINDOW_BYTES)
         .initial_connection_window_size(CONNECTION_WINDOW_BYTES)
         .layer(SetRequestIdLayer::x_request_id(MakeRequestUuid))
+        .layer(SetSensitiveRequestHeadersLayer::new([AUTHORIZATION]))
         .layer(TraceLayer::new_for_grpc().make_span_with(span))
         .layer(PropagateRequestIdLayer::x_request_id())
         .layer(measure::layer())
         .layer(CatchPanicLayer::custom(panicked))
+        .layer(admission::layer(access))
         .add_service(health)
         .add_service(reflection().build_v1().expect(well_formed))
         // Common tools still ask in the older way.
@@ -139,5 +148,6 @@ fn span<B>(request: &Request<B>) -> tracing::Span {
         .headers()
         .get("x-request-id")
         .and_then(|id| id.to_str().ok());
-    tracing::info_span!("grpc", path = request.uri().path(), id)
+    let key = tracing::field::Empty;
+    tracing::info_span!("grpc", path = request.uri().path(), id, key)
 }

@@ -29,6 +29,10 @@ const fn grpc_code(code: Code) -> GrpcCode {
         | Code::BadProtobuf
         | Code::UnsupportedMediaType
         | Code::Invalid => GrpcCode::InvalidArgument,
+        Code::Unauthenticated => GrpcCode::Unauthenticated,
+        Code::Forbidden | Code::OriginNotAllowed | Code::HostNotAllowed => {
+            GrpcCode::PermissionDenied
+        }
         Code::NoSuchPath | Code::MethodNotAllowed => GrpcCode::Unimplemented,
         Code::NoSuchScene | Code::NoSuchCube => GrpcCode::NotFound,
         Code::SceneExists | Code::IdConflict | Code::ShapeExists => GrpcCode::AlreadyExists,

@@ -1,9 +1,10 @@
 //! The HTTP API: decode, ask the service, encode. One handler a call, one table of routes.
 //!
 //! ```text
-//!   request ── id, trace, measure ── compress ── problems only ── panics ── drain ── bounded time ── handler
+//!   request ── id, trace, measure ── compress ── problems only ── panics ── drain ── hosts, origins ── keys ── bounded time ── handler
 //! ```
 
+mod admission;
 mod changes;
 mod contains;
 mod cubes;
@@ -32,11 +33,13 @@ use tower::ServiceBuilder;
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::compression::CompressionLayer;
 use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetRequestIdLayer};
+use tower_http::sensitive_headers::SetSensitiveRequestHeadersLayer;
 use tower_http::trace::TraceLayer;
 use utoipa_swagger_ui::SwaggerUi;
 
 pub use self::operate::install_metrics;
 use self::request::Room;
+use super::access::Access;
 use super::calls::{self, within};
 use super::problem::{Code, Problem};
 use crate::service::Service;
@@ -71,6 +74,7 @@ struct App {
     service: Service,
     limits: Limits,
     room: Room,
+    access: Access,
     metrics: PrometheusHandle,
 }
 
@@ -137,12 +141,13 @@ pub fn paths() -> Vec<&'static str> {
     routes.map(|(path, _)| path).collect()
 }
 
-/// The HTTP API of a service.
-pub fn router(service: Service, limits: Limits) -> Router {
+/// The HTTP API of a service, for those who may.
+pub fn router(service: Service, limits: Limits, access: Access) -> Router {
     let app = App {
         service,
         limits,
         room: Room::new(&limits),
+        access: access.clone(),
         metrics: install_metrics(),
     };
     let add = |router: Router<App>, (path, methods): Route| router.route(path, methods);
@@ -158,6 +163,9 @@ pub fn router(service: Service, limits: Limits) -> Router {
         .layer(
             ServiceBuilder::new()
                 .layer(SetRequestIdLayer::x_request_id(MakeRequestUuid))
+                .layer(SetSensitiveRequestHeadersLayer::new([
+                    header::AUTHORIZATION,
+                ]))
                 .layer(TraceLayer::new_for_http().make_span_with(span))
                 .layer(PropagateRequestIdLayer::x_request_id())
                 .layer(middleware::from_fn(measure))
@@ -167,7 +175,14 @@ pub fn router(service: Service, limits: Limits) -> Router {
                 .layer(middleware::from_fn_with_state(
                     limits.request_timeout,
                     drain::drain_body,
-                )),
+                ))
+                .layer(middleware::from_fn_with_state(
+                    access.clone(),
+                    admission::known_hosts,
+                ))
+                .layer(middleware::from_fn(admission::preflight))
+                .option_layer(admission::cross_origin(&access))
+                .layer(middleware::from_fn_with_state(access, admission::admit)),
         )
         .with_state(app)
 }
@@ -246,5 +261,6 @@ fn span<B>(request: &axum::http::Request<B>) -> tracing::Span {
         .headers()
         .get("x-request-id")
         .and_then(|id| id.to_str().ok());
-    tracing::info_span!("http", method = %request.method(), path = request.uri().path(), id)
+    let key = tracing::field::Empty;
+    tracing::info_span!("http", method = %request.method(), path = request.uri().path(), id, key)
 }
