@@ -7,7 +7,7 @@ COPY src src
 # Only for the manifests of the other members of the workspace.
 COPY tests tests
 RUN cargo build --release --locked --bin union3d \
-    && mkdir /data
+    && mkdir --mode=700 /data
 
 FROM gcr.io/distroless/cc-debian12:nonroot
 COPY --from=build /union3d/target/release/union3d /usr/local/bin/union3d
@@ -18,6 +18,7 @@ USER 65532:65532
 VOLUME /data
 EXPOSE 7373 7374
 STOPSIGNAL SIGTERM
-# Inside a container loopback is the container's own: listen on every address and let the published ports decide.
+# Inside a container loopback is the container's own, so it listens on every address. That wants keys and TLS (mount them, and name
+# them by UNION3D_KEYS and the settings of TLS), or UNION3D_INSECURE=true where the published ports keep strangers out.
 ENTRYPOINT ["/usr/local/bin/union3d"]
 CMD ["serve", "--http", "0.0.0.0:7373", "--grpc", "0.0.0.0:7374", "--data", "/data"]

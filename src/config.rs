@@ -2,15 +2,19 @@
 //!
 //! A key has one name in all four: `queue_changes_max` in the file, `UNION3D_QUEUE_CHANGES_MAX`, `--queue-changes-max`.
 
-use std::net::SocketAddr;
+use std::collections::BTreeSet;
+use std::fmt;
+use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::num::{NonZeroU64, NonZeroUsize};
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 use std::time::Duration;
 
 use config::{Config, ConfigError, Environment, File, FileFormat, Map};
 use serde::{Deserialize, Serialize};
 
 use crate::service::{CHANGE_OPERATIONS_MAX, ServiceConfig};
+use crate::wire::access::{HostName, Origin};
 use crate::wire::door::{self, CertificateFiles};
 
 /// How log lines look.
@@ -23,14 +27,102 @@ pub enum LogFormat {
     Json,
 }
 
+/// An address to listen on: `127.0.0.1:7373`, `[::1]:7373`, a name (`localhost:7373`), or all addresses (`:7373`).
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct ListenAddress {
+    /// Without the brackets of an IPv6 address; empty for all addresses.
+    host: String,
+    port: u16,
+}
+
+impl ListenAddress {
+    /// The sockets it may be, the first that can be had to be taken. Asks the system's resolver where it is a name.
+    /// # Errors
+    /// Nobody knows the name.
+    pub async fn resolve(&self) -> std::io::Result<Vec<SocketAddr>> {
+        if self.host.is_empty() {
+            // The first takes IPv4, too, where the system has IPv6.
+            let all = [
+                (Ipv6Addr::UNSPECIFIED, self.port).into(),
+                (Ipv4Addr::UNSPECIFIED, self.port).into(),
+            ];
+            return Ok(all.to_vec());
+        }
+        let found = tokio::net::lookup_host((self.host.as_str(), self.port)).await?;
+        Ok(found.collect())
+    }
+}
+
+impl FromStr for ListenAddress {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong = || {
+            format!(
+                "{text:?} is no address to listen on, such as 127.0.0.1:7373, localhost:7373 or :7373"
+            )
+        };
+        let (host, port) = text.rsplit_once(':').ok_or_else(wrong)?;
+        let digits = port.bytes().all(|byte| byte.is_ascii_digit());
+        let port = port.parse().ok().filter(|_| digits).ok_or_else(wrong)?;
+        let bare = host
+            .strip_prefix('[')
+            .and_then(|host| host.strip_suffix(']'));
+        let is_name = |byte: u8| byte.is_ascii_alphanumeric() || b"-._".contains(&byte);
+        let fits = match bare {
+            Some(host) => host.parse::<Ipv6Addr>().is_ok(),
+            None => host.bytes().all(is_name),
+        };
+        if !fits {
+            return Err(wrong());
+        }
+        let host = bare.unwrap_or(host).to_owned();
+        Ok(Self { host, port })
+    }
+}
+
+impl TryFrom<String> for ListenAddress {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        text.parse()
+    }
+}
+
+impl From<ListenAddress> for String {
+    fn from(address: ListenAddress) -> Self {
+        address.to_string()
+    }
+}
+
+impl From<SocketAddr> for ListenAddress {
+    fn from(address: SocketAddr) -> Self {
+        Self {
+            host: address.ip().to_string(),
+            port: address.port(),
+        }
+    }
+}
+
+impl fmt::Display for ListenAddress {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.host.contains(':') {
+            write!(formatter, "[{}]:{}", self.host, self.port)
+        } else {
+            write!(formatter, "{}:{}", self.host, self.port)
+        }
+    }
+}
+
 /// The settings of `union3d serve`.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ServeConfig {
     /// Address that HTTP listens on; port 0 picks a free one.
-    pub http: SocketAddr,
+    pub http: ListenAddress,
     /// Address that gRPC listens on; port 0 picks a free one.
-    pub grpc: SocketAddr,
+    pub grpc: ListenAddress,
     /// The server's TLS certificate and those that lead to its authority, as PEM; with it all connections are encrypted.
     pub tls_certificate: Option<PathBuf>,
     /// Its private key, as PEM.
@@ -53,6 +145,16 @@ pub struct ServeConfig {
     pub unread_timeout_seconds: NonZeroU64,
     /// Data directory.
     pub data: PathBuf,
+    /// File of the keys of those who may ask; without it everybody may do everything.
+    pub keys: Option<PathBuf>,
+    /// Names that the server goes by, besides its addresses and those of loopback.
+    #[serde(default)]
+    pub allowed_host: Vec<HostName>,
+    /// Origins of others whose pages may ask.
+    #[serde(default)]
+    pub allow_origin: Vec<Origin>,
+    /// Listen where others reach it though there are no keys or no TLS.
+    pub insecure: bool,
     /// Changes that may wait in one scene's queue; more are answered 429.
     pub queue_changes_max: NonZeroUsize,
     /// Operations that one commit takes together.
@@ -87,11 +189,11 @@ pub struct ServeFlags {
     /// Address that HTTP listens on; port 0 picks a free one [default: 127.0.0.1:7373]
     #[arg(long, value_name = "ADDRESS")]
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub http: Option<SocketAddr>,
+    pub http: Option<ListenAddress>,
     /// Address that gRPC listens on; port 0 picks a free one [default: 127.0.0.1:7374]
     #[arg(long, value_name = "ADDRESS")]
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub grpc: Option<SocketAddr>,
+    pub grpc: Option<ListenAddress>,
     /// The server's TLS certificate and those that lead to its authority, as PEM; with it all connections are encrypted
     #[arg(long, value_name = "FILE")]
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -136,6 +238,22 @@ pub struct ServeFlags {
     #[arg(long, value_name = "DIRECTORY")]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub data: Option<PathBuf>,
+    /// File of the keys of those who may ask (`union3d key new` makes one); read again when it changes [default: everybody may do everything]
+    #[arg(long, value_name = "FILE")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub keys: Option<PathBuf>,
+    /// A name that the server goes by, such as union3d.example, besides its addresses and those of loopback; may be given several times
+    #[arg(long, value_name = "NAME")]
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub allowed_host: Vec<HostName>,
+    /// Let pages of this origin ask, such as http://localhost:3000; may be given several times
+    #[arg(long, value_name = "ORIGIN")]
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub allow_origin: Vec<Origin>,
+    /// Listen on addresses that others reach though there are no keys or no TLS: something else must keep strangers out
+    #[arg(long)]
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub insecure: bool,
     /// Changes that may wait in one scene's queue [default: 1024]
     #[arg(long, value_name = "COUNT")]
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -195,6 +313,57 @@ pub struct ServeFlags {
 #[error("configuration: {0}")]
 pub struct InvalidConfig(#[from] ConfigError);
 
+impl InvalidConfig {
+    fn of(what: String) -> Self {
+        Self(ConfigError::Message(what))
+    }
+}
+
+/// What the names of variables begin with.
+const PREFIX: &str = "UNION3D_";
+
+/// The keys of all settings.
+fn keys() -> BTreeSet<String> {
+    // Not of a `Config`, which drops lists that are empty.
+    match serde_json::to_value(ServeConfig::default()) {
+        Ok(serde_json::Value::Object(settings)) => {
+            settings.into_iter().map(|(key, _)| key).collect()
+        }
+        _ => unreachable!("settings are an object of JSON"),
+    }
+}
+
+/// Whether a variable is none of the server's, by what follows the prefix: that of another command, or one of those that Kubernetes
+/// sets for services whose name begins with union3d.
+fn is_of_others(key: &str) -> bool {
+    ["CONFIG", "KEY"].contains(&key)
+        || key.ends_with("SERVICE_HOST")
+        || key.contains("SERVICE_PORT")
+        || key == "PORT"
+        || key.starts_with("PORT_")
+        || key.ends_with("_PORT")
+        || key.contains("_PORT_")
+}
+
+/// Refuses a file with a key that is no setting, with its line. A file that cannot be read or parsed is refused by who takes it.
+fn check_keys(file: &Path, known: &BTreeSet<String>) -> Result<(), InvalidConfig> {
+    let text = std::fs::read_to_string(file).unwrap_or_default();
+    let Ok(table) = toml::de::DeTable::parse(&text) else {
+        return Ok(());
+    };
+    let mut unknown: Vec<_> = table.get_ref().keys().collect();
+    unknown.retain(|key| !known.contains(key.get_ref().as_ref()));
+    let Some(first) = unknown.into_iter().min_by_key(|key| key.span().start) else {
+        return Ok(());
+    };
+    let line = text[..first.span().start].matches('\n').count() + 1;
+    Err(InvalidConfig::of(format!(
+        "{}, line {line}: {} is no setting; `union3d serve --help` lists them",
+        file.display(),
+        first.get_ref()
+    )))
+}
+
 impl Default for ServeConfig {
     fn default() -> Self {
         const fn count(count: usize) -> NonZeroUsize {
@@ -204,8 +373,8 @@ impl Default for ServeConfig {
             NonZeroU64::new(number).expect("a default is not zero")
         }
         Self {
-            http: SocketAddr::from(([127, 0, 0, 1], 7373)),
-            grpc: SocketAddr::from(([127, 0, 0, 1], 7374)),
+            http: SocketAddr::from(([127, 0, 0, 1], 7373)).into(),
+            grpc: SocketAddr::from(([127, 0, 0, 1], 7374)).into(),
             tls_certificate: None,
             tls_key: None,
             tls_client_ca: None,
@@ -217,6 +386,10 @@ impl Default for ServeConfig {
             idle_timeout_seconds: whole(300),
             unread_timeout_seconds: whole(60),
             data: "union3d-data".into(),
+            keys: None,
+            allowed_host: vec![],
+            allow_origin: vec![],
+            insecure: false,
             queue_changes_max: count(1024),
             group_operations_max: count(65_536),
             body_bytes_max: count(64 << 20),
@@ -255,18 +428,30 @@ impl ServeConfig {
         flags: &ServeFlags,
     ) -> Result<Self, InvalidConfig> {
         let defaults = Config::try_from(&Self::default())?;
-        let known: Map<String, config::Value> = defaults.clone().try_deserialize()?;
-        // An unknown variable is no error: Kubernetes sets some for a service that is called union3d.
-        let variables = variables.into_iter().filter(|(name, _)| {
-            name.strip_prefix("UNION3D_")
-                .is_some_and(|key| known.contains_key(&key.to_lowercase()))
-        });
+        let known = keys();
+        let mut ours = Map::new();
+        for (name, value) in variables {
+            let Some(key) = name.strip_prefix(PREFIX) else {
+                continue;
+            };
+            if known.contains(&key.to_lowercase()) {
+                ours.insert(name, value);
+            } else if !is_of_others(key) {
+                return Err(InvalidConfig::of(format!(
+                    "the environment variable {name} is no setting; `union3d serve --help` lists them"
+                )));
+            }
+        }
         let environment = Environment::with_prefix("UNION3D")
             .try_parsing(true)
             .ignore_empty(true)
-            .source(Some(variables.collect()));
+            .list_separator(",")
+            .with_list_parse_key("allowed_host")
+            .with_list_parse_key("allow_origin")
+            .source(Some(ours));
         let mut builder = Config::builder().add_source(defaults);
         if let Some(file) = file {
+            check_keys(file, &known)?;
             builder = builder.add_source(File::from(file).format(FileFormat::Toml));
         }
         let merged = builder
@@ -275,13 +460,13 @@ impl ServeConfig {
             .build()?;
         let config: Self = merged.try_deserialize()?;
         if config.change_cubes_max.get() > CHANGE_OPERATIONS_MAX {
-            return Err(InvalidConfig(ConfigError::Message(format!(
+            return Err(InvalidConfig::of(format!(
                 "change_cubes_max is {}; the most is {CHANGE_OPERATIONS_MAX}",
                 config.change_cubes_max
-            ))));
+            )));
         }
         if let Some(missing) = config.missing_for_tls() {
-            return Err(InvalidConfig(ConfigError::Message(missing.to_owned())));
+            return Err(InvalidConfig::of(missing.to_owned()));
         }
         Ok(config)
     }

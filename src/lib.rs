@@ -32,6 +32,8 @@
 //! - One writer for each scene owns its engine and its log; nobody locks them: [`service`].
 //! - Nothing is visible or answered before it is on stable storage, and replay is the way back after any failure:
 //!   [`service`] and [`log`]; `tests/crash.rs` kills a real server in mid-stream.
+//! - Nobody does what his key has not the right to: [`wire::access`], one table of what each call needs; `tests/http/access.rs` and
+//!   `tests/grpc/access.rs` try every call.
 //! - Damage to a file is refused with its place, and never gives a wrong total: [`log`], `tests/log.rs`.
 
 pub mod config;

@@ -58,8 +58,9 @@ fn flags_win_over_variables_over_the_file() {
 
 #[test]
 fn an_unknown_key_of_the_file_is_refused_by_name() {
-    let error = merge("htp = '127.0.0.1:1'", &[], &ServeFlags::default()).unwrap_err();
-    assert!(error.contains("htp"), "{error}");
+    let text = "# a comment\nhttp = '127.0.0.1:1'\n\nhtp = '127.0.0.1:1'\n";
+    let error = merge(text, &[], &ServeFlags::default()).unwrap_err();
+    assert!(error.contains("union3d.toml, line 4: htp"), "{error}");
 }
 
 #[test]
@@ -67,6 +68,10 @@ fn variables_of_others_are_left_alone() {
     let list = [
         ("UNION3D_PORT_7373_TCP", "tcp://10.0.0.1:7373"),
         ("UNION3D_CONFIG", "x.toml"),
+        ("UNION3D_KEY", "u3d_0"),
+        ("UNION3D_SERVICE_HOST", "10.0.0.1"),
+        ("UNION3D_SERVICE_PORT_GRPC", "7374"),
+        ("UNION3D_EDGE_PORT", "tcp://10.0.0.1:7373"),
         ("UNION3D_HTTP", ""),
         ("PATH", "/bin"),
     ];
@@ -82,6 +87,11 @@ fn a_value_out_of_range_is_refused_with_its_key() {
         ("queue_changes_max = 0", "queue_changes_max"),
         ("queue_changes_max = -5", "queue_changes_max"),
         ("http = 'localhost'", "http"),
+        (
+            "allowed_host = ['union3d.example', 'http://x']",
+            "allowed_host",
+        ),
+        ("allow_origin = ['localhost:3000']", "allow_origin"),
         ("log_format = 'xml'", "log_format"),
         ("change_cubes_max = 100000000", "change_cubes_max"),
     ] {
@@ -119,4 +129,76 @@ fn a_certificate_without_its_key_is_refused() {
     assert_eq!(files.certificate, PathBuf::from("a"));
     assert_eq!(files.key, PathBuf::from("b"));
     assert_eq!(files.client_ca, None);
+}
+
+#[test]
+fn an_unknown_variable_is_refused_by_name() {
+    let error = merge("", &[("UNION3D_HTPP", "secret")], &ServeFlags::default()).unwrap_err();
+    assert!(
+        error.contains("UNION3D_HTPP") && !error.contains("secret"),
+        "{error}"
+    );
+}
+
+/// Lists stand in the file as lists, and in a variable with commas between.
+#[test]
+fn lists_come_from_everywhere() {
+    let names = |config: &ServeConfig| -> Vec<String> {
+        config
+            .allowed_host
+            .iter()
+            .cloned()
+            .map(String::from)
+            .collect()
+    };
+    let none = ServeFlags::default();
+    let text =
+        "allowed_host = ['a.example', 'B.example']\nallow_origin = ['http://localhost:3000']";
+    let config = merge(text, &[], &none).unwrap();
+    assert_eq!(names(&config), ["a.example", "b.example"]);
+    assert_eq!(
+        config.allow_origin,
+        ["http://localhost:3000".parse().unwrap()]
+    );
+    let config = merge(
+        text,
+        &[("UNION3D_ALLOWED_HOST", "c.example,d.example")],
+        &none,
+    )
+    .unwrap();
+    assert_eq!(names(&config), ["c.example", "d.example"]);
+    let config = merge(text, &[("UNION3D_ALLOWED_HOST", "c.example")], &none).unwrap();
+    assert_eq!(names(&config), ["c.example"]);
+    let flags = ServeFlags {
+        allowed_host: vec!["e.example".parse().unwrap()],
+        ..none
+    };
+    assert_eq!(names(&merge(text, &[], &flags).unwrap()), ["e.example"]);
+}
+
+#[test]
+fn addresses_are_numbers_names_or_all() {
+    for (written, shown) in [
+        ("127.0.0.1:7373", "127.0.0.1:7373"),
+        ("[::1]:0", "[::1]:0"),
+        ("localhost:7373", "localhost:7373"),
+        (":7373", ":7373"),
+    ] {
+        let config = merge(&format!("http = '{written}'"), &[], &ServeFlags::default()).unwrap();
+        assert_eq!(config.http.to_string(), shown);
+    }
+    for wrong in [
+        "",
+        "7373",
+        "localhost",
+        "localhost:",
+        "localhost:70000",
+        "::1:7373",
+        "http://x:1",
+        "a b:1",
+        ":+1",
+    ] {
+        let refused = merge(&format!("http = '{wrong}'"), &[], &ServeFlags::default());
+        assert!(refused.unwrap_err().contains("http"), "{wrong}");
+    }
 }

@@ -322,7 +322,12 @@ async fn kill_again_and_again(kind: Kind, kills: u64) {
             json!(changes),
             "one seq for each change that was kept"
         );
-        let audit = http.post(server.scene("/audit")).send().await.unwrap();
+        let audit = http
+            .post(server.scene("/audit"))
+            .json(&json!({}))
+            .send()
+            .await
+            .unwrap();
         assert_eq!(audit.status(), StatusCode::OK);
         let audit: Value = audit.json().await.unwrap();
         assert_eq!(audit["equal"], json!(true), "{audit}");
@@ -574,6 +579,7 @@ async fn a_full_disk_is_told_with_its_cause_and_heals_when_there_is_space() {
         assert_eq!(now["seq"], json!(generation));
         let audit: Value = http
             .post(server.scene("/audit"))
+            .json(&json!({}))
             .send()
             .await
             .unwrap()

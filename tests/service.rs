@@ -362,7 +362,7 @@ async fn questions_see_the_last_durable_state() {
 }
 
 #[tokio::test]
-async fn ids_of_the_server_end_with_the_last_u64() {
+async fn the_server_numbers_on_when_a_client_has_taken_the_last_u64() {
     let directory = tempfile::tempdir().unwrap();
     let service = start(directory.path());
     let scene = create(&service, "s").await;
@@ -376,11 +376,12 @@ async fn ids_of_the_server_end_with_the_last_u64() {
     drop((scene, service));
     let service = start(directory.path());
     let scene = running(&service, "s");
-    let refused = scene.change(numbered(two, None)).await;
-    assert!(
-        matches!(refused, Err(ServiceError::IdsExhausted { wanted: 2 })),
-        "{refused:?}"
-    );
+    // The greatest is taken: the server goes on where there is room.
+    let applied = scene.change(numbered(two.clone(), None)).await.unwrap();
+    assert_eq!(applied.assigned, Some((CubeId(1), CubeId(2))));
+    scene.change(insert(4, 0)).await.unwrap();
+    let applied = scene.change(numbered(two, None)).await.unwrap();
+    assert_eq!(applied.assigned, Some((CubeId(5), CubeId(6))));
     // Ids of the client's own still work.
     scene.change(insert(7, 0)).await.unwrap();
 }

@@ -8,6 +8,7 @@ use reqwest::{StatusCode, Url, header};
 use serde::Serialize;
 use serde_json::{Value, json, value::RawValue};
 
+use super::credentials::Credentials;
 use union3d::geometry::Place;
 use union3d::wire::convert::{SettingsDocument, StockDocument};
 use union3d::wire::proto::Change;
@@ -26,7 +27,7 @@ pub(crate) enum Failure {
     #[error("cannot reach {url}: {cause} (is the server running? `union3d serve` starts one)")]
     Unreachable { url: Url, cause: String },
     /// It answers with a problem.
-    #[error("{url} answers {status}: {detail}")]
+    #[error("{url} answers {status}: {detail}{}", advice(*status))]
     Refused {
         url: Url,
         status: StatusCode,
@@ -87,8 +88,12 @@ pub(crate) struct Client {
 
 impl Client {
     /// The scene that is wanted, made if it is not there, and the largest id in it (0 when it is empty).
-    pub(crate) async fn open(server: &str, wanted: &SceneWanted) -> Result<(Self, u64), Failure> {
-        let mut this = Self::of(server, &wanted.name)?;
+    pub(crate) async fn open(
+        server: &str,
+        credentials: &Credentials,
+        wanted: &SceneWanted,
+    ) -> Result<(Self, u64), Failure> {
+        let mut this = Self::of(server, credentials, &wanted.name)?;
         let Some(there) = this.describe().await? else {
             this.create(&wanted.settings()).await?;
             return Ok((this, 0));
@@ -103,7 +108,11 @@ impl Client {
     }
 
     /// A scene of a server, whether or not it is there.
-    pub(crate) fn of(server: &str, scene_name: &str) -> Result<Self, Failure> {
+    pub(crate) fn of(
+        server: &str,
+        credentials: &Credentials,
+        scene_name: &str,
+    ) -> Result<Self, Failure> {
         let address = |cause: String| Failure::Address {
             server: server.to_owned(),
             cause,
@@ -118,8 +127,14 @@ impl Client {
             .map_err(|()| address("it has no path".to_owned()))?
             .pop_if_empty()
             .extend(["v1", "scenes", scene_name]);
+        let authorization = credentials.authorization.clone().into_iter();
         let http = reqwest::Client::builder()
             .connect_timeout(Duration::from_secs(5))
+            .default_headers(
+                authorization
+                    .map(|key| (header::AUTHORIZATION, key))
+                    .collect(),
+            )
             .build()
             .map_err(|error| address(causes(&error)))?;
         Ok(Self {
@@ -362,6 +377,15 @@ fn field<'value>(scene: &'value Value, name: &str) -> &'value Value {
     match &scene[name] {
         Value::Null => &scene["settings"][name],
         found => found,
+    }
+}
+
+/// What to do about a server that does not let one in.
+fn advice(status: StatusCode) -> &'static str {
+    if status == StatusCode::UNAUTHORIZED {
+        " (--key-file or UNION3D_KEY says the key)"
+    } else {
+        ""
     }
 }
 

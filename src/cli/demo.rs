@@ -1,7 +1,6 @@
 //! `union3d demo`: the server, a client of it, and something to look at.
 
 use std::io::{ErrorKind, Write};
-use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
@@ -12,12 +11,14 @@ use tokio::signal::unix::{SignalKind, signal};
 use tokio_util::sync::CancellationToken;
 
 use super::client::{Client, SceneWanted};
+use super::credentials::Credentials;
 use super::cutter::{Cutter, Length, Unit};
 use super::{Outcome, report};
-use union3d::config::ServeConfig;
+use union3d::config::{ListenAddress, ServeConfig};
 use union3d::geometry::Place;
 use union3d::service::{Readiness, Service};
 use union3d::toolpath::{Event, Interpreter, Motion, Options};
+use union3d::wire::access::Access;
 use union3d::wire::convert::{Anchor, Settings, SettingsDocument};
 use union3d::wire::door::Door;
 use union3d::wire::http::Limits;
@@ -46,10 +47,10 @@ The data goes to a temporary directory, gone afterwards, unless --data says wher
 pub(crate) struct Args {
     /// Address that HTTP listens on; port 0 picks a free one [default: 127.0.0.1:7373, or a free port when that is taken]
     #[arg(long, value_name = "ADDRESS")]
-    http: Option<SocketAddr>,
+    http: Option<ListenAddress>,
     /// Address that gRPC listens on; port 0 picks a free one [default: 127.0.0.1:7374, or a free port when that is taken]
     #[arg(long, value_name = "ADDRESS")]
-    grpc: Option<SocketAddr>,
+    grpc: Option<ListenAddress>,
     /// Data directory, kept afterwards [default: a temporary one]
     #[arg(long, value_name = "DIRECTORY")]
     data: Option<PathBuf>,
@@ -79,8 +80,8 @@ pub(crate) fn run(args: Args) -> Outcome {
 }
 
 async fn demo(args: Args, config: &ServeConfig) -> Result<(), Box<dyn std::error::Error>> {
-    let listener = listen(args.http, config.http, "--http").await?;
-    let grpc_listener = listen(args.grpc, config.grpc, "--grpc").await?;
+    let listener = listen(args.http.as_ref(), &config.http, "--http").await?;
+    let grpc_listener = listen(args.grpc.as_ref(), &config.grpc, "--grpc").await?;
     let url = format!("http://{}", listener.local_addr()?);
     let grpc_address = grpc_listener.local_addr()?;
     let service = Service::start(config.service())?;
@@ -88,15 +89,16 @@ async fn demo(args: Args, config: &ServeConfig) -> Result<(), Box<dyn std::error
     let server = tokio::spawn({
         let (service, stop) = (service.clone(), stop.clone());
         async move {
-            let (door, limits) = (Door::default(), Limits::default());
+            let (door, limits, access) = (Door::default(), Limits::default(), Access::default());
             let http = http::serve(
                 door.clone(),
                 listener,
                 service.clone(),
                 limits,
+                access.clone(),
                 stop.clone(),
             );
-            let grpc = grpc::serve(door, grpc_listener, service, limits, stop);
+            let grpc = grpc::serve(door, grpc_listener, service, limits, access, stop);
             tokio::join!(http, grpc)
         }
     });
@@ -138,23 +140,28 @@ async fn signalled() -> std::io::Result<()> {
 
 /// The address that was asked for, or the usual one, or when somebody has that, a free one.
 async fn listen(
-    asked: Option<SocketAddr>,
-    usual: SocketAddr,
+    asked: Option<&ListenAddress>,
+    usual: &ListenAddress,
     flag: &str,
 ) -> Result<TcpListener, String> {
     let address = asked.unwrap_or(usual);
-    match TcpListener::bind(address).await {
+    let cannot = |error: std::io::Error| {
+        format!("cannot listen on {address}: {error} ({flag} takes another address)")
+    };
+    let mut sockets = address.resolve().await.map_err(cannot)?;
+    // It has no keys.
+    if let Some(open) = sockets.iter().find(|socket| !socket.ip().is_loopback()) {
+        return Err(format!(
+            "{flag}: {open} is reached from elsewhere, and a demo lets everybody in; `union3d serve` can be asked from elsewhere"
+        ));
+    }
+    match TcpListener::bind(&*sockets).await {
         Err(error) if error.kind() == ErrorKind::AddrInUse && asked.is_none() => {
             eprintln!("{usual} is taken (another union3d?), so this demo takes a free port.");
-            let free = SocketAddr::new(usual.ip(), 0);
-            TcpListener::bind(free)
-                .await
-                .map_err(|error| format!("cannot listen on {free}: {error}"))
+            sockets.iter_mut().for_each(|socket| socket.set_port(0));
+            TcpListener::bind(&*sockets).await.map_err(cannot)
         }
-        Err(error) => Err(format!(
-            "cannot listen on {address}: {error} ({flag} takes another address)"
-        )),
-        Ok(listener) => Ok(listener),
+        bound => bound.map_err(cannot),
     }
 }
 
@@ -176,7 +183,7 @@ async fn show(url: &str) -> Result<(), Box<dyn std::error::Error>> {
         stock: None,
     };
     // The ids always begin at 1: on a directory with the plate of an earlier demo this changes nothing.
-    let (client, _) = Client::open(url, &wanted).await?;
+    let (client, _) = Client::open(url, &Credentials::default(), &wanted).await?;
     writeln!(
         output,
         "{:>10}{:>18}{:>18}{:>18}",
@@ -207,7 +214,7 @@ async fn show(url: &str) -> Result<(), Box<dyn std::error::Error>> {
   curl -X DELETE {scene}/cubes/1000001
   curl '{scene}/contains?at=0,0,-1'
   curl '{scene}/history?limit=3'
-  curl -X POST {scene}/audit
+  curl -X POST {scene}/audit -H 'content-type: application/json'
 or read {url}/docs"
     )?;
     Ok(())
@@ -236,6 +243,8 @@ fn places() -> Result<Vec<Place>, Box<dyn std::error::Error>> {
 
 #[cfg(test)]
 mod tests {
+    use std::net::SocketAddr;
+
     use super::*;
 
     /// Somebody has the usual address: without an address of its own the demo takes a free one, with one it does not start.
@@ -244,11 +253,19 @@ mod tests {
         let any = SocketAddr::from(([127, 0, 0, 1], 0));
         let taken = TcpListener::bind(any).await.unwrap();
         let usual = taken.local_addr().unwrap();
-        let free = listen(None, usual, "--http").await.unwrap();
+        let free = listen(None, &usual.into(), "--http").await.unwrap();
         let free = free.local_addr().unwrap();
         assert_eq!(free.ip(), usual.ip());
         assert_ne!(free.port(), usual.port());
-        let refused = listen(Some(usual), any, "--http").await.unwrap_err();
+        let refused = listen(Some(&usual.into()), &any.into(), "--http").await;
+        let refused = refused.unwrap_err();
         assert!(refused.contains("--http"), "{refused}");
+    }
+
+    #[tokio::test]
+    async fn it_is_not_reached_from_elsewhere() {
+        let all: ListenAddress = ":0".parse().unwrap();
+        let refused = listen(Some(&all), &all, "--grpc").await.unwrap_err();
+        assert!(refused.starts_with("--grpc: "), "{refused}");
     }
 }

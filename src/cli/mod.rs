@@ -2,9 +2,11 @@
 
 mod audit;
 mod client;
+mod credentials;
 mod cutter;
 mod demo;
 mod input;
+mod key;
 mod measure;
 mod mill;
 mod path;
@@ -38,6 +40,7 @@ enum Command {
     Path(path::Args),
     Measure(measure::Args),
     Audit(audit::Args),
+    Key(key::Args),
 }
 
 /// Reads the arguments, runs the subcommand and reports its error, if any, as one line on standard error.
@@ -49,9 +52,30 @@ pub(crate) fn main() -> ExitCode {
         Command::Path(args) => path::run(args),
         Command::Measure(args) => measure::run(args),
         Command::Audit(args) => audit::run(args),
+        Command::Key(args) => key::run(args),
     };
     outcome.unwrap_or_else(|error| {
+        if is_unread(&*error) {
+            return ExitCode::from(UNREAD);
+        }
         eprintln!("union3d: {error}");
         ExitCode::FAILURE
+    })
+}
+
+/// The status of a program that nobody reads any more, as shells show it: 128 and the number of the signal SIGPIPE.
+const UNREAD: u8 = 128 + 13;
+
+/// Whether who read the output has gone, as `head` does: no fault, and nothing to say.
+fn is_unread(error: &(dyn std::error::Error + 'static)) -> bool {
+    let mut causes = std::iter::successors(Some(error), |error| error.source());
+    causes.any(|cause| {
+        let kind = match cause.downcast_ref::<std::io::Error>() {
+            Some(error) => Some(error.kind()),
+            None => cause
+                .downcast_ref::<serde_json::Error>()
+                .and_then(serde_json::Error::io_error_kind),
+        };
+        kind == Some(std::io::ErrorKind::BrokenPipe)
     })
 }

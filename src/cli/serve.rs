@@ -1,5 +1,6 @@
 //! `union3d serve`: the server, from its settings to its end.
 
+use std::ffi::OsStr;
 use std::io::{IsTerminal, Write};
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -12,8 +13,9 @@ use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio_util::sync::CancellationToken;
 use tracing_subscriber::EnvFilter;
-use union3d::config::{LogFormat, ServeConfig, ServeFlags};
+use union3d::config::{ListenAddress, LogFormat, ServeConfig, ServeFlags};
 use union3d::service::{Readiness, Service};
+use union3d::wire::access::{Access, Hosts};
 use union3d::wire::door::{Door, Tls};
 use union3d::wire::http::{Limits, install_metrics};
 use union3d::wire::{grpc, http};
@@ -85,9 +87,10 @@ pub(crate) async fn serve(
         .transpose()?
         .map(Arc::new);
     let door = Door::new(config.door(), tls.clone());
-    let listener = listen(config.http, "--http").await?;
-    let grpc_listener = listen(config.grpc, "--grpc").await?;
+    let listener = listen(&config.http, "--http").await?;
+    let grpc_listener = listen(&config.grpc, "--grpc").await?;
     let (address, grpc_address) = (listener.local_addr()?, grpc_listener.local_addr()?);
+    let access = access(config, [address, grpc_address])?;
     // First, so that what the start counts is counted.
     install_metrics();
     let service = Service::start(config.service())?;
@@ -98,6 +101,11 @@ pub(crate) async fn serve(
         wait_max: Duration::from_secs(config.wait_seconds_max.get()),
     };
     let draining = CancellationToken::new();
+    tokio::spawn(
+        draining
+            .clone()
+            .run_until_cancelled_owned(access.clone().watch()),
+    );
     // Both or none: half a server would hide that the other half is gone.
     let mut server = tokio::spawn({
         let (service, draining) = (service.clone(), draining.clone());
@@ -107,9 +115,10 @@ pub(crate) async fn serve(
                 listener,
                 service.clone(),
                 limits,
+                access.clone(),
                 draining.clone(),
             );
-            let grpc = grpc::serve(door, grpc_listener, service, limits, draining);
+            let grpc = grpc::serve(door, grpc_listener, service, limits, access, draining);
             tokio::join!(http, grpc)
         }
     });
@@ -149,10 +158,86 @@ pub(crate) async fn serve(
     Ok(ExitCode::SUCCESS)
 }
 
-async fn listen(address: SocketAddr, flag: &str) -> Result<TcpListener, String> {
-    TcpListener::bind(address).await.map_err(|error| {
+async fn listen(address: &ListenAddress, flag: &str) -> Result<TcpListener, String> {
+    let bound = async { TcpListener::bind(&*address.resolve().await?).await };
+    bound.await.map_err(|error| {
         format!("cannot listen on {address}: {error}; choose another address with {flag}")
     })
+}
+
+/// Who may do what on a server that listens here.
+fn access(
+    config: &ServeConfig,
+    listening: [SocketAddr; 2],
+) -> Result<Access, Box<dyn std::error::Error>> {
+    let hosts = Hosts::new(
+        listening.map(|address| address.ip()).to_vec(),
+        config.allowed_host.clone(),
+        config.allow_origin.clone(),
+    );
+    let access = Access::new(hosts, config.keys.as_deref())?;
+    let Some(why) = exposure(listening, access.has_keys(), false) else {
+        return Ok(access);
+    };
+    if config.insecure {
+        tracing::warn!("insecure: {why}");
+        Ok(access.insecure(format!("insecure: {why}")))
+    } else {
+        Err(format!(
+            "{why}: give what is missing, or listen on 127.0.0.1; --insecure lets it be where something else keeps strangers out"
+        )
+        .into())
+    }
+}
+
+/// Why a server that listens here is open to more than it should be, if it is.
+fn exposure(listening: [SocketAddr; 2], has_keys: bool, has_tls: bool) -> Option<String> {
+    let mut reached = listening
+        .iter()
+        .filter(|address| !address.ip().is_loopback());
+    let address = reached.next()?;
+    let missing = match (has_keys, has_tls) {
+        (true, true) => return None,
+        (false, true) => "there are no keys (--keys)",
+        (true, false) => "there is no TLS",
+        (false, false) => "there are no keys (--keys) and no TLS",
+    };
+    Some(format!(
+        "{address} is reached from elsewhere, and {missing}"
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_who_is_reached_from_elsewhere_needs_keys_and_tls() {
+        let [loopback, loopback6, other, all] =
+            ["127.0.0.1:1", "[::1]:1", "192.168.0.9:1", "[::]:1"]
+                .map(|address| address.parse::<SocketAddr>().unwrap());
+        assert_eq!(exposure([loopback, loopback6], false, false), None);
+        for reached in [[loopback, other], [all, loopback], [other, all]] {
+            assert_eq!(exposure(reached, true, true), None);
+            for (has_keys, has_tls) in [(false, false), (true, false), (false, true)] {
+                let why = exposure(reached, has_keys, has_tls).unwrap();
+                assert_eq!(why.contains("--keys"), !has_keys, "{why}");
+                assert_eq!(why.contains("TLS"), !has_tls, "{why}");
+            }
+        }
+    }
+
+    #[test]
+    fn colours_are_for_terminals_of_those_who_want_them() {
+        for (is_terminal, no_color, expected) in [
+            (true, None, true),
+            (true, Some(""), true),
+            (true, Some("1"), false),
+            (false, None, false),
+        ] {
+            assert_eq!(has_colours(is_terminal, no_color.map(OsStr::new)), expected);
+        }
+    }
 }
 
 /// Logs to standard error, as configured.
@@ -161,13 +246,21 @@ fn start_log(config: &ServeConfig) -> Result<(), Box<dyn std::error::Error>> {
         .map_err(|error| format!("configuration: log_filter {:?}: {error}", config.log_filter))?;
     let builder = tracing_subscriber::fmt()
         .with_env_filter(filter)
-        .with_ansi(std::io::stderr().is_terminal())
+        .with_ansi(has_colours(
+            std::io::stderr().is_terminal(),
+            std::env::var_os("NO_COLOR").as_deref(),
+        ))
         .with_writer(std::io::stderr);
     match config.log_format {
         LogFormat::Text => builder.init(),
         LogFormat::Json => builder.json().init(),
     }
     Ok(())
+}
+
+/// Whether log lines have colours: on a terminal, unless somebody wants none there (<https://no-color.org>).
+fn has_colours(is_terminal: bool, no_color: Option<&OsStr>) -> bool {
+    is_terminal && no_color.is_none_or(OsStr::is_empty)
 }
 
 /// Draws a bar on a terminal while scenes are replayed, and says when that is done.

@@ -58,9 +58,8 @@ impl Database {
         meta: &Meta<K>,
         definitions: &[Box<[u8]>],
     ) -> Result<(), LogError> {
-        let flags = OpenFlags::SQLITE_OPEN_READ_WRITE
-            | OpenFlags::SQLITE_OPEN_CREATE
-            | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+        site.create_database().map_err(|error| site.io(&error))?;
+        let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let connection = Connection::open_with_flags(&site.database, flags);
         let connection = connection.map_err(site.sqlite(Seq(0)))?;
         let superblock = Superblock {

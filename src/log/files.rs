@@ -11,8 +11,9 @@
 //! A directory is built under a name that starts with [`TEMPORARY_PREFIX`] and renamed, and removed the other way round, so a crash leaves a
 //! whole scene, or none and some rubbish that [`remove_leftovers`] knows by its name.
 
-use std::fs::{self, File, OpenOptions};
+use std::fs::{self, DirBuilder, File, OpenOptions, Permissions};
 use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
 use super::kind::Kind;
@@ -23,6 +24,13 @@ pub const TEMPORARY_PREFIX: &str = ".union3d-temporary-";
 
 /// Written into the header of every database file: "un3d".
 pub(super) const APPLICATION_ID: i32 = 0x756e_3364;
+
+/// What nobody but the owner may do is taken from all others: what is in a scene is its owner's.
+const OTHERS: u32 = 0o077;
+const DIRECTORY_MODE: u32 = 0o700;
+
+/// The mode of new files. SQLite gives its write-ahead file and the index of that the mode of the database file.
+pub const FILE_MODE: u32 = 0o600;
 
 /// Bytes that show whether there is room at all.
 const TRIAL_BYTES_MIN: u64 = 1 << 16;
@@ -69,6 +77,13 @@ impl Site {
             .write(true)
             .open(self.write_ahead())?
             .sync_all()
+    }
+
+    /// Makes the database file, empty. SQLite would let others read it.
+    pub(super) fn create_database(&self) -> io::Result<()> {
+        let mut options = OpenOptions::new();
+        options.write(true).create_new(true).mode(FILE_MODE);
+        options.open(&self.database).map(drop)
     }
 
     /// Bytes of all files.
@@ -271,6 +286,7 @@ impl CommitMarkerFile {
             .write(true)
             .create(true)
             .truncate(false)
+            .mode(FILE_MODE)
             .open(site.acknowledged())
             .map(Self)
     }
@@ -312,7 +328,8 @@ pub(super) fn create_whole(
         return Err(site.failed("the directory is there already"));
     }
     let temporary = temporary_sibling(directory, "create").map_err(io)?;
-    fs::create_dir(&temporary).map_err(io)?;
+    let created = DirBuilder::new().mode(DIRECTORY_MODE).create(&temporary);
+    created.map_err(io)?;
     let outcome = build(&temporary)
         .and_then(|()| sync_directory(&temporary).map_err(io))
         .and_then(|()| fs::rename(&temporary, directory).map_err(io))
@@ -372,19 +389,48 @@ pub fn remove_leftovers(data: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Creates a directory and those above it that are not there. Durably: also the names of those that are there already,
+/// Creates a directory and those above it that are not there, for their owner alone. Durably: also the names of those that are there already,
 /// which a server may have made that died or failed before it had synced them.
 /// # Errors
 /// The file system's; but not that a directory which was there before is none that can be synced at all.
 pub fn create_directories(path: &Path) -> io::Result<()> {
     let above = || path.ancestors().skip(1);
     let missing = above().take_while(|above| !above.exists()).count();
-    fs::create_dir_all(path)?;
+    DirBuilder::new()
+        .recursive(true)
+        .mode(DIRECTORY_MODE)
+        .create(path)?;
     for (index, directory) in above().enumerate() {
         match sync_directory(or_here(directory)) {
             Err(error) if index > missing && is_never_synced(&error) => {}
             synced => synced?,
         }
+    }
+    Ok(())
+}
+
+/// Whether others than its owner may do anything with a file or directory.
+/// # Errors
+/// The file system's.
+pub fn is_open_to_others(path: &Path) -> io::Result<bool> {
+    Ok(fs::symlink_metadata(path)?.permissions().mode() & OTHERS != 0)
+}
+
+/// Takes from others what they may do with a directory and with what lies in it, without what lies deeper.
+/// # Errors
+/// The file system's: they may belong to somebody else.
+pub fn close_to_others(directory: &Path) -> io::Result<()> {
+    let close = |path: &Path| {
+        let metadata = fs::symlink_metadata(path)?;
+        let mode = metadata.permissions().mode();
+        if metadata.is_symlink() || mode & OTHERS == 0 {
+            return Ok(());
+        }
+        fs::set_permissions(path, Permissions::from_mode(mode & !OTHERS))
+    };
+    close(directory)?;
+    for entry in fs::read_dir(directory)? {
+        close(&entry?.path())?;
     }
     Ok(())
 }

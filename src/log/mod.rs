@@ -45,7 +45,10 @@ pub use bytes::{Malformed, Reader};
 pub(crate) use bytes::{put_signed, put_varint};
 pub use codec::RECORD_CUBES_MAX;
 pub use columns::{ColumnReader, ColumnWriter};
-pub use files::{TEMPORARY_PREFIX, create_directories, is_of, remove_leftovers, remove_scene};
+pub use files::{
+    FILE_MODE, TEMPORARY_PREFIX, close_to_others, create_directories, is_of, is_open_to_others,
+    remove_leftovers, remove_scene,
+};
 pub use history::HistoryReader;
 pub(crate) use kind::COORDINATE_BYTES_MAX;
 pub use kind::{Cubes, Kind};

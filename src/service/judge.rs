@@ -59,11 +59,10 @@ impl<K: SceneKind> Judging<'_, K> {
                 let wanted = insert.len() as u64;
                 let assigned = match wanted {
                     0 => None,
-                    _ => Some(
-                        self.next_id
-                            .range(wanted)
-                            .ok_or(ServiceError::IdsExhausted { wanted })?,
-                    ),
+                    _ => {
+                        let is_taken = |id| K::get(self.engine, id).is_some();
+                        Some(self.next_id.range(wanted, is_taken))
+                    }
                 };
                 let ids = assigned.map_or(0..=0, |(first, last)| first.0..=last.0);
                 let insert = ids

@@ -268,12 +268,6 @@ pub enum ServiceError {
         /// Its kind, in words.
         kind: &'static str,
     },
-    /// No more ids to give.
-    #[error("the server has no {wanted} consecutive ids left to give")]
-    IdsExhausted {
-        /// How many were wanted.
-        wanted: u64,
-    },
     /// One record does not hold the change.
     #[error(
         "the change has {operations} operations, and one change holds at most {CHANGE_OPERATIONS_MAX}; go back by way of a seq in between, or send it in parts"

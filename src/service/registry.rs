@@ -8,6 +8,7 @@
 use std::collections::HashSet;
 use std::fs::{self, File, TryLockError};
 use std::io;
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -28,7 +29,8 @@ use super::{Readiness, SceneName, SceneState, ServiceConfig, ServiceError, Start
 use crate::engine::solids;
 use crate::geometry::{Edge, Stock};
 use crate::log::{
-    Cubes, Header, Kind, Log, LogError, create_directories, is_of, remove_leftovers, remove_scene,
+    Cubes, FILE_MODE, Header, Kind, Log, LogError, close_to_others, create_directories, is_of,
+    is_open_to_others, remove_leftovers, remove_scene,
 };
 
 /// All scenes of a data directory.
@@ -97,6 +99,7 @@ impl Service {
         };
         create_directories(&scenes).map_err(|error| failed("create", &error))?;
         remove_leftovers(&scenes).map_err(|error| failed("clean", &error))?;
+        close(&config.data, &scenes);
         let setup = Arc::new(Setup {
             gate: Gate::new(config.replays_max),
             config,
@@ -108,6 +111,7 @@ impl Service {
             let path = entry.path();
             match SceneName::new(&entry.file_name().to_string_lossy()) {
                 Ok(name) if path.is_dir() => {
+                    tell_open(&path, close_to_others(&path));
                     let bytes = size_bytes(&path);
                     found.push((unopened(name, path, &setup), bytes));
                 }
@@ -484,11 +488,31 @@ fn spawn<K: SceneKind>(scene: &Arc<SceneOf<K>>, writer: Option<Writer<K>>) -> io
 const LOCK_PATIENCE: Duration = Duration::from_secs(2);
 const LOCK_PAUSE: Duration = Duration::from_millis(20);
 
+/// Keeps others from what an earlier version, or somebody else, left open to them. The data directory itself is its owner's to close: it may
+/// hold more than what is ours.
+fn close(data: &Path, scenes: &Path) {
+    tell_open(scenes, close_to_others(scenes));
+    if is_open_to_others(data).unwrap_or(false) {
+        tracing::info!("others may enter {}, but not what is in it", data.display());
+    }
+}
+
+/// Says what stays open.
+fn tell_open(path: &Path, closed: io::Result<()>) {
+    if let Err(error) = closed {
+        tracing::warn!(
+            "cannot keep others from {}: {error}; its scenes can be read by who may enter it",
+            path.display()
+        );
+    }
+}
+
 /// Opens and locks `DATA/lock`: as long as the file is open, no other service uses the directory.
 pub(super) fn lock_data(data: &Path) -> Result<File, StartError> {
     let lock = File::options()
         .create(true)
         .append(true)
+        .mode(FILE_MODE)
         .open(data.join("lock"))
         .map_err(|error| unusable(data, &error))?;
     // A server that was killed a moment ago may not have let go yet: whoever restarts it at once is not refused.

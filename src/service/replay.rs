@@ -111,7 +111,12 @@ impl<K: SceneKind> Rebuilt<K> {
                 K::reserve(&mut self.engine, cubes);
                 true
             }
-            Replayed::Cubes(cubes) => self.add(&[], cubes, None),
+            Replayed::Cubes(cubes) => {
+                for (id, _) in cubes {
+                    self.next_id.pass(*id);
+                }
+                self.add(&[], cubes, None)
+            }
             Replayed::SnapshotEnd {
                 seq,
                 at_ms,
@@ -119,7 +124,7 @@ impl<K: SceneKind> Rebuilt<K> {
                 next_id,
             } => {
                 (self.seq, self.at_ms) = (seq, at_ms);
-                self.next_id = NextId::of_record(next_id);
+                self.next_id = self.next_id.of_record(next_id);
                 self.expected = Some(*totals);
                 self.flush()
             }

@@ -10,6 +10,7 @@ use std::collections::HashSet;
 
 use super::judge::Accepted;
 use super::kind::SceneKind;
+use super::next_id::NextId;
 use super::{Key, Motion, Operations, Submission};
 use crate::engine::Op;
 use crate::geometry::CubeId;
@@ -40,7 +41,12 @@ impl<K: SceneKind> Default for Together<K> {
 impl<K: SceneKind> Together<K> {
     /// Whether a change can be judged against a set without the bodies that wait, and join them if it inserts: it names none of them, nor
     /// one of their keys, and so many bodies may wait.
-    pub(super) fn admits(&self, submission: &Submission<K>, bodies_max: usize) -> bool {
+    pub(super) fn admits(
+        &self,
+        submission: &Submission<K>,
+        bodies_max: usize,
+        next_id: NextId,
+    ) -> bool {
         let room = bodies_max.saturating_sub(self.ids.len());
         let joins = match &submission.operations {
             Operations::Named(ops) => {
@@ -48,7 +54,11 @@ impl<K: SceneKind> Together<K> {
                     |op: &Op<K::Body>| matches!(op, Op::Insert(id, _) if !self.ids.contains(id));
                 ops.len() <= room && ops.iter().all(joins)
             }
-            Operations::Numbered { delete, insert } => insert.len() <= room && delete.is_empty(),
+            Operations::Numbered { delete, insert } => {
+                // Where it must be looked which ids are free, those that wait are not seen.
+                let numbers = next_id.is_past_all() || self.ids.is_empty();
+                numbers && insert.len() <= room && delete.is_empty()
+            }
             Operations::Revert(_) | Operations::Define(_) | Operations::DryRun(_) => false,
         };
         let has_met = |(key, _): &Key| {

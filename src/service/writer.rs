@@ -199,7 +199,7 @@ impl<K: SceneKind> Writer<K> {
         submission: Submission<K>,
     ) -> Result<Option<Outcome<K>>, LogError> {
         let bodies_max = self.feed.set.look(K::together_max);
-        let is_admitted = group.together.admits(&submission, bodies_max);
+        let is_admitted = group.together.admits(&submission, bodies_max, self.next_id);
         if !is_admitted {
             self.apply_together(group);
         }

@@ -182,5 +182,10 @@ pub struct Revert {
     pub to: u64,
 }
 
-objects_only!(Cube, NewCube, Change, Revert);
+/// What an audit is asked with: nothing.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Deserialize, ToSchema)]
+#[serde(remote = "Self", deny_unknown_fields)]
+pub struct AuditRequest {}
+
+objects_only!(Cube, NewCube, Change, Revert, AuditRequest);
 written!(Cube);

@@ -2,13 +2,14 @@
 //!
 //! ```text
 //!   connections ── door ──> http, grpc
-//!   request ── http ─┬─ decode ── convert ── calls, atomic ──> service
-//!              grpc ─┘
+//!   request ── access ── http ─┬─ decode ── convert ── calls, atomic ──> service
+//!                        grpc ─┘
 //!   answer  <─ http, grpc ── convert ─────── Published <────── service
 //!              every failure on the way ── problem (RFC 9457), with gRPC as a status
 //! ```
 //! Knows HTTP, gRPC, JSON, protobuf and user units. Never keeps state of a scene, and never touches its files.
 
+pub mod access;
 mod atomic;
 mod calls;
 pub mod convert;

@@ -22,6 +22,12 @@ pub const FAULTS_MAX: usize = 100;
 /// Longest piece of a client's text that an answer repeats, in bytes.
 const ECHO_BYTES_MAX: usize = 80;
 
+/// Longest place of a fault, which may be a name that the client made up, in bytes.
+const PLACE_BYTES_MAX: usize = 512;
+
+/// Longest detail, which may repeat a place or a name, in bytes.
+const DETAIL_BYTES_MAX: usize = 2_048;
+
 /// What a type of problem means.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Serialize, ToSchema)]
 pub struct Kind {
@@ -65,6 +71,12 @@ kinds! {
         "`line` and `column` say where reading stopped; for a stream `line` is the line of the stream. Nothing of the change was applied.";
     BadProtobuf "bad-protobuf" 400 None, "The body is not a protobuf message",
         "The body must be one message union3d.v1.Change.";
+    Unauthenticated "unauthenticated" 401 None, "A key is needed",
+        "This server has keys, and none that it knows was sent. Send Authorization: Bearer KEY.";
+    Forbidden "forbidden" 403 None, "The key has not this right",
+        "The rights of a key are read, write and admin, on scenes by their names. The file of keys says them.";
+    OriginNotAllowed "origin-not-allowed" 403 None, "Pages of this origin may not ask",
+        "A browser sent this for a page that is not of this server. Who runs the server can allow the page's origin: --allow-origin.";
     NoSuchPath "no-such-path" 404 None, "There is nothing at this path",
         "/openapi.json and /docs describe every path.";
     NoSuchScene "no-such-scene" 404 None, "There is no such scene",
@@ -87,8 +99,6 @@ kinds! {
         "A scene is of cubes or of solids, for its life. This call is for the other kind; the detail names the scene's.";
     ShapeExists "shape-exists" 409 None, "The shape cannot be defined",
         "There is another shape of this name, and a shape never changes; or the scene has as many shapes as it may, 1,024. Take another name, or a shape that is there.";
-    IdsExhausted "ids-exhausted" 409 None, "The server has no ids left to give",
-        "Give the ids yourself.";
     SeqNotKept "seq-not-kept" 410 None, "This seq is no longer kept",
         "`oldest` is the oldest whose totals are kept.";
     NotReachable "seq-not-reachable" 410 None, "This seq can no longer be gone back to",
@@ -97,6 +107,8 @@ kinds! {
         "Split the change, or send application/x-ndjson, which has no limit as a whole; go back by way of a seq in between.";
     UnsupportedMediaType "unsupported-media-type" 415 None, "The body's type is not taken here",
         "The detail lists the types that are. Content-Encoding is not taken.";
+    HostNotAllowed "host-not-allowed" 421 None, "The server does not go by this name",
+        "The name in Host, or :authority, is none of this server's: its addresses, those of loopback, and the names of --allowed-host. So a page cannot point a name of its own at this server.";
     Invalid "invalid" 422 None, "The request can be read but is wrong",
         "`errors` names the first hundred faults, each with its place and value. Nothing of the change was applied; of a stream the first `committed_lines`.";
     SceneFull "scene-full" 422 None, "The scene would hold too many cubes or solids",
@@ -191,6 +203,18 @@ impl Fault {
             value: Some(Value::String(shortened(value))),
         }
     }
+
+    /// As it may be answered, however long the names are that were sent.
+    fn bounded(mut self) -> Self {
+        self.pointer = self.pointer.map(|place| cut(place, PLACE_BYTES_MAX));
+        let name = |name: Cow<'static, str>| match name {
+            Cow::Owned(name) => Cow::Owned(cut(name, PLACE_BYTES_MAX)),
+            known => known,
+        };
+        self.parameter = self.parameter.map(name);
+        self.detail = name(self.detail);
+        self
+    }
 }
 
 /// A client's JSON as it may be repeated: scalars as they are, as text what is long or what a number cannot hold.
@@ -206,10 +230,16 @@ fn echo(raw: &str) -> Value {
 }
 
 fn shortened(text: &str) -> String {
-    if text.len() <= ECHO_BYTES_MAX {
-        return text.to_owned();
+    cut(text.to_owned(), ECHO_BYTES_MAX)
+}
+
+/// A text of at most so many bytes, with dots where more is cut off.
+fn cut(mut text: String, bytes_max: usize) -> String {
+    if text.len() > bytes_max {
+        text.truncate(text.floor_char_boundary(bytes_max));
+        text += "...";
     }
-    format!("{}...", &text[..text.floor_char_boundary(ECHO_BYTES_MAX)])
+    text
 }
 
 /// The first hundred faults of a request.
@@ -263,13 +293,14 @@ impl Faults {
 
     /// The faults as one problem.
     pub fn into_problem(self) -> Problem {
-        let detail = match self.0.as_slice() {
+        let faults: Vec<Fault> = self.0.into_iter().map(Fault::bounded).collect();
+        let detail = match faults.as_slice() {
             [only] => described(only),
             [first, ..] => format!("{}, and other faults: see errors", described(first)),
             [] => "the request is wrong".to_owned(),
         };
         let mut problem = Problem::new(Code::Invalid, detail);
-        problem.0.faults = self.0;
+        problem.0.faults = faults;
         problem
     }
 }
@@ -307,7 +338,7 @@ impl Problem {
     pub fn new(code: Code, detail: impl Into<String>) -> Self {
         Self(Box::new(Contents {
             code,
-            detail: detail.into(),
+            detail: cut(detail.into(), DETAIL_BYTES_MAX),
             faults: vec![],
             members: Map::new(),
         }))
@@ -323,7 +354,7 @@ impl Problem {
     /// Adds a fault with its place.
     #[must_use]
     pub fn with_fault(mut self, fault: Fault) -> Self {
-        self.0.faults.push(fault);
+        self.0.faults.push(fault.bounded());
         self
     }
 
@@ -412,7 +443,6 @@ impl From<ServiceError> for Problem {
                 problem(Code::SceneFull)
             }
             ServiceError::OtherKind { .. } => problem(Code::OtherKind),
-            ServiceError::IdsExhausted { .. } => problem(Code::IdsExhausted),
             ServiceError::TooManyOperations { .. } => problem(Code::TooLarge),
             ServiceError::KeyReused => problem(Code::KeyReused),
             ServiceError::SeqNotKept { oldest, .. } => {
@@ -467,6 +497,13 @@ impl IntoResponse for Problem {
                 members,
             });
         let mut response = details.into_response();
+        response.extensions_mut().insert(code);
+        if code == Code::Unauthenticated {
+            const CHALLENGE: HeaderValue = HeaderValue::from_static("Bearer realm=\"union3d\"");
+            response
+                .headers_mut()
+                .insert(header::WWW_AUTHENTICATE, CHALLENGE);
+        }
         if let Some(seconds) = kind.retry_after_seconds {
             response
                 .headers_mut()

@@ -1,6 +1,9 @@
 //! The gRPC API, from outside: a real server, a real client; HTTP beside it on the same service.
 
+mod access;
 mod calls;
+#[path = "../oracle/keys.rs"]
+mod keys;
 mod operation;
 mod refusals;
 mod server;

@@ -89,12 +89,19 @@ async fn it_describes_itself() {
     let names: Vec<_> = service.iter().map(|service| &*service.name).collect();
     assert!(names.contains(&"union3d.v1.UnionService"), "{names:?}");
     assert!(names.contains(&"grpc.health.v1.Health"), "{names:?}");
-    let symbol = "union3d.v1.UnionService.StreamChanges".to_owned();
-    let found = ask(MessageRequest::FileContainingSymbol(symbol)).await;
-    assert!(
-        matches!(found, MessageResponse::FileDescriptorResponse(_)),
-        "{found:?}"
-    );
+    // What is called, and what the details of a status are made of.
+    for symbol in [
+        "union3d.v1.UnionService.StreamChanges",
+        "google.rpc.ErrorInfo",
+        "google.rpc.BadRequest",
+        "google.rpc.RetryInfo",
+    ] {
+        let found = ask(MessageRequest::FileContainingSymbol(symbol.to_owned())).await;
+        assert!(
+            matches!(found, MessageResponse::FileDescriptorResponse(_)),
+            "{symbol}: {found:?}"
+        );
+    }
 }
 
 #[tokio::test]

@@ -11,6 +11,7 @@ use tonic::transport::{Channel, Endpoint};
 use tonic::{Code, Status};
 use tonic_types::StatusExt;
 use union3d::service::{FailHook, Readiness, Service, ServiceConfig};
+use union3d::wire::access::Access;
 use union3d::wire::door::Door;
 use union3d::wire::http::Limits;
 use union3d::wire::proto::union_service_client::UnionServiceClient;
@@ -58,6 +59,24 @@ impl Server {
         faults: Option<FailHook>,
         wait: bool,
     ) -> Self {
+        Self::of(data, limits, config, faults, wait, Access::default()).await
+    }
+
+    /// For those who may.
+    pub(crate) async fn guarded(access: Access) -> Self {
+        let data = tempfile::tempdir().unwrap();
+        let config = ServiceConfig::new(data.path());
+        Self::of(data, Limits::default(), config, None, true, access).await
+    }
+
+    async fn of(
+        data: TempDir,
+        limits: Limits,
+        config: ServiceConfig,
+        faults: Option<FailHook>,
+        wait: bool,
+        access: Access,
+    ) -> Self {
         let service = match faults {
             Some(faults) => Service::start_with_failpoints(config, faults).unwrap(),
             None => Service::start(config).unwrap(),
@@ -76,12 +95,20 @@ impl Server {
             listener,
             service.clone(),
             limits,
+            access.clone(),
             draining.clone(),
         );
         tokio::spawn(served);
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let grpc = format!("http://{}", listener.local_addr().unwrap());
-        let served = grpc::serve(door, listener, service.clone(), limits, draining.clone());
+        let served = grpc::serve(
+            door,
+            listener,
+            service.clone(),
+            limits,
+            access,
+            draining.clone(),
+        );
         let serving = tokio::spawn(served);
         let client = UnionServiceClient::new(channel(&grpc).await);
         Self {

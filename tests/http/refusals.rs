@@ -133,7 +133,7 @@ async fn a_client_that_sends_first_and_reads_later_gets_its_answer() {
     ] {
         let mut socket = TcpStream::connect(&server.address).await.unwrap();
         let head = format!(
-            "POST {path} HTTP/1.1\r\nhost: x\r\ncontent-type: {kind}\r\ncontent-length: {SIZE}\r\n\r\n"
+            "POST {path} HTTP/1.1\r\nhost: localhost\r\ncontent-type: {kind}\r\ncontent-length: {SIZE}\r\n\r\n"
         );
         socket.write_all(head.as_bytes()).await.unwrap();
         let sent = timeout(PATIENCE, socket.write_all(&vec![b' '; SIZE])).await;
@@ -151,7 +151,7 @@ async fn a_client_that_sends_first_and_reads_later_gets_its_answer() {
     // A client that asks first sends nothing at all.
     let mut socket = TcpStream::connect(&server.address).await.unwrap();
     let head = format!(
-        "POST {scene}/changes HTTP/1.1\r\nhost: x\r\nexpect: 100-continue\r\ncontent-type: {JSON}\r\ncontent-length: {SIZE}\r\n\r\n"
+        "POST {scene}/changes HTTP/1.1\r\nhost: localhost\r\nexpect: 100-continue\r\ncontent-type: {JSON}\r\ncontent-length: {SIZE}\r\n\r\n"
     );
     socket.write_all(head.as_bytes()).await.unwrap();
     let mut answer = vec![0; 1 << 12];
@@ -174,7 +174,7 @@ async fn large_bodies_wait_for_room() {
     for _ in 0..4 {
         let mut socket = TcpStream::connect(&server.address).await.unwrap();
         let head = format!(
-            "POST {scene}/changes HTTP/1.1\r\nhost: x\r\nexpect: 100-continue\r\ncontent-type: {JSON}\r\ncontent-length: {SIZE}\r\n\r\n"
+            "POST {scene}/changes HTTP/1.1\r\nhost: localhost\r\nexpect: 100-continue\r\ncontent-type: {JSON}\r\ncontent-length: {SIZE}\r\n\r\n"
         );
         socket.write_all(head.as_bytes()).await.unwrap();
         let mut answer = [0; 12];
@@ -207,7 +207,7 @@ async fn a_body_that_does_not_arrive_is_given_up() {
     let scene = server.scene("s", 2).await;
     let mut socket = TcpStream::connect(&server.address).await.unwrap();
     let head = format!(
-        "POST {scene}/changes HTTP/1.1\r\nhost: x\r\ncontent-type: {JSON}\r\ncontent-length: 100\r\n\r\n{{"
+        "POST {scene}/changes HTTP/1.1\r\nhost: localhost\r\ncontent-type: {JSON}\r\ncontent-length: 100\r\n\r\n{{"
     );
     socket.write_all(head.as_bytes()).await.unwrap();
     let mut answer = vec![0; 1 << 12];
@@ -284,4 +284,29 @@ async fn a_full_disk_says_so_and_heals() {
     })
     .await;
     assert_eq!(server.totals(&scene).await["cubes"], 1);
+}
+
+/// What a client made up is repeated so far that it is recognised, however long it is.
+#[tokio::test]
+async fn long_names_are_repeated_cut() {
+    let server = Server::start().await;
+    let scene = server.scene("s", 2).await;
+    let long = "x".repeat(10_000_000);
+    let body = format!("{{\"insert\":[{{\"id\":1,\"at\":[0,0,0],\"{long}\":1}}],\"{long}\":1}}");
+    let answer = server.change(&scene, &body).await;
+    assert_eq!(answer.places().len(), 2);
+    assert!(answer.text.len() < 5_000, "{} bytes", answer.text.len());
+    let line = format!("{{\"{}\":1}}\n", &long[..60_000]);
+    let answer = server.lines(&scene, &line).await;
+    assert_eq!(answer.status, 422);
+    assert!(answer.text.len() < 5_000, "{} bytes", answer.text.len());
+    for path in [
+        format!("/{}", &long[..30_000]),
+        format!("/v1/scenes/{}", &long[..30_000]),
+        format!("/v1/scenes?{}=1", &long[..30_000]),
+    ] {
+        let answer = server.get(&path).await;
+        assert!(answer.status == 404 || answer.status == 422);
+        assert!(answer.text.len() < 5_000, "{} bytes", answer.text.len());
+    }
 }

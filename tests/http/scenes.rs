@@ -104,3 +104,55 @@ async fn settings_are_read_once_a_scene() {
     // Nothing was made of them at first, and that was not kept.
     assert_eq!(readings, 2);
 }
+
+/// Who writes every member writes null for what is not there.
+#[tokio::test]
+async fn a_stock_of_null_is_none() {
+    let server = Server::start().await;
+    for (name, settings) in [
+        ("cubes", json!({"edge": 6})),
+        ("solids", json!({"kind": "solids"})),
+    ] {
+        let path = format!("/v1/scenes/{name}");
+        let mut with_null = settings.clone();
+        with_null["stock"] = json!(null);
+        let created = server
+            .send("PUT", &path, JSON, &with_null.to_string())
+            .await;
+        assert_eq!(created.status, 201, "{}", created.text);
+        assert!(created.json().get("stock").is_none());
+        let again = server.send("PUT", &path, JSON, &settings.to_string()).await;
+        assert_eq!(again.status, 200, "{}", again.text);
+    }
+}
+
+/// The lightest of materials on the finest of lattices: what its inertia is can be written as a number, and is.
+#[tokio::test]
+async fn inertia_does_not_vanish_at_tiny_densities() {
+    const DENSITY: f64 = 1e-300;
+    let server = Server::start().await;
+    let settings = json!({"edge": 1, "steps_per_unit": 1_000_000, "density": DENSITY});
+    let cubes = server.scene_with("cubes", &settings.to_string()).await;
+    let settings = json!({"kind": "solids", "steps_per_unit": 1_000_000, "density": DENSITY, "shapes": {"box": {"box": [1, 1, 1]}}});
+    let solids = server.scene_with("solids", &settings.to_string()).await;
+    server
+        .change(&cubes, r#"{"insert":[{"id":1,"at":[5,5,5]}]}"#)
+        .await
+        .ok();
+    server
+        .change(
+            &solids,
+            r#"{"insert":[{"id":1,"shape":"box","at":[5,5,5]}]}"#,
+        )
+        .await
+        .ok();
+    for scene in [cubes, solids] {
+        let totals = server.totals(&scene).await;
+        let expected = DENSITY / 6.0;
+        let inertia = totals["inertia"][1][1].as_f64().unwrap();
+        assert!(
+            (inertia / expected - 1.0).abs() < 1e-9,
+            "{scene}: {inertia}"
+        );
+    }
+}

@@ -9,6 +9,7 @@ use serde_json::Value;
 use tempfile::TempDir;
 use tokio_util::sync::CancellationToken;
 use union3d::service::{FailHook, Readiness, Service, ServiceConfig};
+use union3d::wire::access::Access;
 use union3d::wire::door::Door;
 use union3d::wire::http::{self, Limits};
 
@@ -49,6 +50,26 @@ impl Server {
         faults: Option<FailHook>,
     ) -> Self {
         let data = tempfile::tempdir().unwrap();
+        Self::of(data, limits, config, faults, Access::default()).await
+    }
+
+    /// For those who may.
+    pub(crate) async fn guarded(access: Access) -> Self {
+        Self::guarded_on(tempfile::tempdir().unwrap(), access).await
+    }
+
+    /// The same on data that is there.
+    pub(crate) async fn guarded_on(data: TempDir, access: Access) -> Self {
+        Self::of(data, Limits::default(), |config| config, None, access).await
+    }
+
+    async fn of(
+        data: TempDir,
+        limits: Limits,
+        config: impl FnOnce(ServiceConfig) -> ServiceConfig,
+        faults: Option<FailHook>,
+        access: Access,
+    ) -> Self {
         let config = config(ServiceConfig::new(data.path()));
         let service = match faults {
             Some(faults) => Service::start_with_failpoints(config, faults).unwrap(),
@@ -66,6 +87,7 @@ impl Server {
             listener,
             service.clone(),
             limits,
+            access,
             CancellationToken::new(),
         );
         tokio::spawn(serving);

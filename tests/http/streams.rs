@@ -168,7 +168,7 @@ async fn a_paused_stream_is_visible_and_then_given_up() {
     let mut socket = TcpStream::connect(&server.address).await.unwrap();
     let line = insert(1, 0);
     let request = format!(
-        "POST {scene}/changes HTTP/1.1\r\nhost: x\r\ncontent-type: {NDJSON}\r\ntransfer-encoding: chunked\r\n\r\n{:x}\r\n{line}\r\n4\r\n{{\"de\r\n",
+        "POST {scene}/changes HTTP/1.1\r\nhost: localhost\r\ncontent-type: {NDJSON}\r\ntransfer-encoding: chunked\r\n\r\n{:x}\r\n{line}\r\n4\r\n{{\"de\r\n",
         line.len()
     );
     socket.write_all(request.as_bytes()).await.unwrap();

@@ -6,11 +6,15 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
+use tonic::metadata::{Ascii, MetadataValue};
+use tonic::service::Interceptor;
+use tonic::service::interceptor::InterceptedService;
 use tonic::transport::{Channel, Endpoint};
-use tonic::{Code, Status, Streaming};
+use tonic::{Code, Request, Status, Streaming};
 use uuid::Uuid;
 
 use super::super::client::{PATIENCE, SceneWanted, causes};
+use super::super::credentials::Credentials;
 use super::line::Material;
 use union3d::wire::grpc::Missing;
 use union3d::wire::proto::union_service_client::UnionServiceClient;
@@ -22,7 +26,20 @@ use union3d::wire::proto::{
 };
 
 /// The calls of a server.
-pub(super) type Client = UnionServiceClient<Channel>;
+pub(super) type Client = UnionServiceClient<InterceptedService<Channel, Bearer>>;
+
+/// Shows the key with every call.
+#[derive(Clone)]
+pub(super) struct Bearer(Option<MetadataValue<Ascii>>);
+
+impl Interceptor for Bearer {
+    fn call(&mut self, mut request: Request<()>) -> tonic::Result<Request<()>> {
+        if let Some(key) = &self.0 {
+            request.metadata_mut().insert("authorization", key.clone());
+        }
+        Ok(request)
+    }
+}
 
 /// Changes sent ahead of their acknowledgements: as many as the server takes in.
 const IN_FLIGHT_MAX: usize = 256;
@@ -105,7 +122,7 @@ pub(super) struct GrpcStream<T> {
 }
 
 /// A connection to a server.
-pub(super) async fn connect(server: &str) -> Result<Client, Failure> {
+pub(super) async fn connect(server: &str, credentials: &Credentials) -> Result<Client, Failure> {
     let address = |cause: String| Failure::Address {
         server: server.to_owned(),
         cause,
@@ -124,7 +141,12 @@ pub(super) async fn connect(server: &str) -> Result<Client, Failure> {
             server: server.to_owned(),
             cause: causes(&error),
         })?;
-    Ok(UnionServiceClient::new(channel))
+    let key = credentials.authorization.as_ref().map(|key| {
+        let mut value = MetadataValue::try_from(key.as_bytes()).expect("it was a header before");
+        value.set_sensitive(true);
+        value
+    });
+    Ok(UnionServiceClient::with_interceptor(channel, Bearer(key)))
 }
 
 /// What a server says against a call.

@@ -23,6 +23,7 @@ use self::stock::StockForm;
 use self::tally::{Cutting, Kind, Tally};
 use self::target::Target;
 use super::client::{Client, SceneWanted};
+use super::credentials::CredentialsArgs;
 use super::cutter::{self, Cutter, Length, STEPS_PER_EDGE, Unit};
 use super::input;
 use super::path::{self, RAPID_RATE_MM};
@@ -113,6 +114,8 @@ pub(crate) struct Args {
     /// Stream it to this server over gRPC, such as `grpc://127.0.0.1:7374`.
     #[arg(long, value_name = "URL")]
     grpc: Option<String>,
+    #[command(flatten)]
+    credentials: CredentialsArgs,
     /// Scene on the server [default: the file's name].
     #[arg(long, value_name = "NAME")]
     scene: Option<String>,
@@ -197,11 +200,14 @@ impl Args {
         given.unwrap_or_else(|| scene_name(&self.file))
     }
 
-    /// Refuses a scene without a server, where there is none.
+    /// Refuses what is only for a server where there is none.
     fn check_scene(&self) -> Result<(), &'static str> {
-        match self.scene {
-            Some(_) => Err("--scene names a scene of a server: give --server or --grpc, too"),
-            None => Ok(()),
+        match (&self.scene, &self.credentials.key_file) {
+            (Some(_), _) => Err("--scene names a scene of a server: give --server or --grpc, too"),
+            (None, Some(_)) => {
+                Err("--key-file has the key for a server: give --server or --grpc, too")
+            }
+            (None, None) => Ok(()),
         }
     }
 
@@ -638,12 +644,13 @@ async fn target(args: &Args, settings: &Settings) -> Result<Target, Box<dyn std:
         unit: args.unit.label().to_owned(),
         stock: settings.document().stock,
     };
+    let credentials = args.credentials.read()?;
     match (&args.server, &args.grpc) {
         (Some(server), _) => {
-            let (client, largest_id) = Client::open(server, &wanted).await?;
+            let (client, largest_id) = Client::open(server, &credentials, &wanted).await?;
             Ok(Target::http(client, largest_id))
         }
-        (None, Some(server)) => Target::grpc(server, &wanted).await,
+        (None, Some(server)) => Target::grpc(server, &credentials, &wanted).await,
         (None, None) => {
             args.check_scene()?;
             Ok(Target::engine(settings))

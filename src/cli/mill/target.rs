@@ -5,6 +5,7 @@ use serde_json::value::{RawValue, to_raw_value};
 use uuid::Uuid;
 
 use super::super::client::{Client, SceneWanted, inserted};
+use super::super::credentials::Credentials;
 use super::grpc::{self, Done, GrpcStream};
 use super::line::{LineChange, Material};
 use super::tally::Cut;
@@ -52,9 +53,10 @@ impl Target {
 
     pub(super) async fn grpc(
         server: &str,
+        credentials: &Credentials,
         wanted: &SceneWanted,
     ) -> Result<Self, Box<dyn std::error::Error>> {
-        let mut client = grpc::connect(server).await?;
+        let mut client = grpc::connect(server, credentials).await?;
         let largest_id = grpc::open_cubes(&mut client, server, wanted).await?;
         Ok(Self::Grpc {
             stream: Box::new(GrpcStream::open(server, client, &wanted.name).await?),

@@ -31,16 +31,17 @@ pub(super) fn inertia(measures: &Measures, settings: &Settings) -> [[f64; 3]; 3]
     let volume = I256::from(measures.volume);
     let first = measures.first_moments2.map(I256::from);
     let second = measures.second_moments3;
-    let unit = settings.density / settings.scale(5);
+    // The density comes last: a tiny one would leave nothing of the rest.
+    let moment = |steps5: f64| steps5 / settings.scale(5) * settings.density;
     let mut tensor = [[0.0; 3]; 3];
     for axis in 0..3 {
         let (one, two) = ((axis + 1) % 3, (axis + 2) % 3);
         let around = 4 * volume * (second[one] + second[two])
             - 3 * (first[one] * first[one] + first[two] * first[two]);
-        tensor[axis][axis] = ratio(around, 12 * volume) * unit;
+        tensor[axis][axis] = moment(ratio(around, 12 * volume));
         // Products are kept in the order xy, yz, zx: that of `axis` and the next one. The sign is turned in integers: no -0.0.
         let product = first[axis] * first[one] - volume * measures.product_moments4[axis];
-        let product = ratio(product, 4 * volume) * unit;
+        let product = moment(ratio(product, 4 * volume));
         tensor[axis][one] = product;
         tensor[one][axis] = product;
     }

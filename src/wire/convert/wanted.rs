@@ -7,7 +7,7 @@ use super::numbers::{OFF_LATTICE_MAX, whole};
 use super::settings::{Anchor, Rounding, Settings};
 use super::units::InvalidCoordinate;
 use crate::geometry::{COORDINATE_MAX, Edge, InvalidEdge, Stock};
-use crate::wire::objects::{not_null, objects_only, written};
+use crate::wire::objects::{objects_only, written};
 
 /// Largest number of steps in a user unit.
 pub const STEPS_PER_UNIT_MAX: u32 = 1_000_000_000;
@@ -63,13 +63,8 @@ pub struct SettingsDocument {
     #[schema(default = "nearest")]
     pub rounding: Rounding,
     /// The block of material that the cubes are cut from, in user units: then the mass properties say what was removed and what remains.
-    /// Left out when there is none.
-    #[serde(
-        default,
-        deserialize_with = "not_null",
-        skip_serializing_if = "Option::is_none"
-    )]
-    #[schema(nullable = false)]
+    /// Left out, or null, when there is none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stock: Option<StockDocument>,
 }
 

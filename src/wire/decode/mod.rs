@@ -19,7 +19,7 @@ pub use self::message::{
 pub use self::solid_message::{solid_change_message, solid_message};
 use super::convert::{InvalidSetting, KindName, Settings, SettingsDocument};
 pub use super::decoded::Decoded;
-use super::documents::{LineOperation, Revert};
+use super::documents::{AuditRequest, LineOperation, Revert};
 use super::problem::{Code, Fault, Faults, Problem};
 use super::solids::{
     self, NewSolids, Scale, ShapeDocument, SolidChange, SolidDocument, SolidSettingsDocument,
@@ -180,6 +180,17 @@ fn note_settings(invalid: &[InvalidSetting], faults: &mut Faults) {
 pub fn revert(body: &[u8]) -> Result<Seq, Problem> {
     let Revert { to } = json::read(body, |_: &Revert, _| ())?;
     Ok(Seq(to))
+}
+
+/// Reads what an audit is asked with: nothing, or `{}`.
+/// # Errors
+/// As of [`revert`].
+pub fn audit(body: &[u8]) -> Result<(), Problem> {
+    if body.is_empty() {
+        return Ok(());
+    }
+    let AuditRequest {} = json::read(body, |_: &AuditRequest, _| ())?;
+    Ok(())
 }
 
 fn too_many(cubes_max: usize) -> Problem {

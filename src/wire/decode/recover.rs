@@ -203,7 +203,10 @@ impl<'de> Recovering<'_, 'de> {
                 notes: self.notes,
             };
             let Some(&name) = known.iter().find(|known| **known == name) else {
-                member.note(format!("is not known here; known are {}", known.join(", ")));
+                member.note(match known {
+                    [] => "is not known here; there are no members".to_owned(),
+                    known => format!("is not known here; known are {}", known.join(", ")),
+                });
                 return;
             };
             if members.iter().any(|(earlier, _)| *earlier == name) {

@@ -12,6 +12,7 @@ use tonic::{Code, Status};
 use tower::{Layer, Service};
 
 use super::status::{self, foreign};
+use crate::wire::access::of_grpc;
 
 const STATUS: &str = "grpc-status";
 const DETAILS: &str = "grpc-status-details-bin";
@@ -89,28 +90,7 @@ impl Drop for Call {
 
 /// The name of a call: any path can be sent, but only known ones make a series.
 fn method(path: &str) -> &'static str {
-    const KNOWN: [&str; 17] = [
-        "CreateScene",
-        "GetScene",
-        "ListScenes",
-        "DeleteScene",
-        "ApplyChange",
-        "StreamChanges",
-        "RevertScene",
-        "GetMassProperties",
-        "WatchMassProperties",
-        "GetHistory",
-        "ListCubes",
-        "GetCube",
-        "DefineShape",
-        "ListSolids",
-        "GetSolid",
-        "Contains",
-        "AuditScene",
-    ];
-    let name = path.strip_prefix("/union3d.v1.UnionService/");
-    let known = KNOWN.iter().find(|known| Some(**known) == name);
-    known.copied().unwrap_or("other")
+    of_grpc(path).name
 }
 
 /// Adds the details of a problem to a status that has none.

@@ -2,10 +2,11 @@
 //! answer is `calls` and `atomic`, as for HTTP.
 //!
 //! ```text
-//!   request ── id, trace, measure ── panics ── deadlines ── handler ── service
+//!   request ── id, trace, measure ── panics ── deadlines ── hosts, keys ── handler ── service
 //!   beside it: health (serving once every scene is replayed) and reflection
 //! ```
 
+mod admission;
 mod mass_properties;
 mod measure;
 mod messages;
@@ -18,6 +19,7 @@ mod time;
 use std::any::Any;
 use std::time::Duration;
 
+use axum::http::header::AUTHORIZATION;
 use axum::http::{Request, Response};
 use axum::middleware;
 use tokio::net::TcpListener;
@@ -29,10 +31,12 @@ use tonic_health::server::{HealthReporter, health_reporter};
 use tower::ServiceBuilder;
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetRequestIdLayer};
+use tower_http::sensitive_headers::SetSensitiveRequestHeadersLayer;
 use tower_http::trace::TraceLayer;
 
 pub use self::mass_properties::Missing;
 use self::service::Calls;
+use super::access::Access;
 use super::calls;
 use super::door::{Door, Protocol};
 use super::http::Limits;
@@ -51,6 +55,7 @@ pub async fn serve(
     listener: TcpListener,
     service: Service,
     limits: Limits,
+    access: Access,
     draining: CancellationToken,
 ) {
     let (reporter, health) = health_reporter();
@@ -65,6 +70,8 @@ pub async fn serve(
         tonic_reflection::server::Builder::configure()
             .register_encoded_file_descriptor_set(FILE_DESCRIPTOR_SET)
             .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+            // What the details of a status are made of.
+            .register_encoded_file_descriptor_set(tonic_types::pb::FILE_DESCRIPTOR_SET)
     };
     let well_formed = "the compiler of the messages wrote the descriptors";
     let calls = Routes::new(health)
@@ -75,6 +82,7 @@ pub async fn serve(
     let router = calls.prepare().into_axum_router().layer(
         ServiceBuilder::new()
             .layer(SetRequestIdLayer::x_request_id(MakeRequestUuid))
+            .layer(SetSensitiveRequestHeadersLayer::new([AUTHORIZATION]))
             .layer(TraceLayer::new_for_grpc().make_span_with(span))
             .layer(PropagateRequestIdLayer::x_request_id())
             .layer(measure::layer())
@@ -82,7 +90,8 @@ pub async fn serve(
             .layer(middleware::from_fn_with_state(
                 limits.request_timeout,
                 time::in_time,
-            )),
+            ))
+            .layer(admission::layer(access)),
     );
     let serving = door.serve(listener, Protocol::Grpc, router, draining.clone());
     let showing = show_health(&reporter, &service, &draining);
@@ -124,5 +133,6 @@ fn span<B>(request: &Request<B>) -> tracing::Span {
         .headers()
         .get("x-request-id")
         .and_then(|id| id.to_str().ok());
-    tracing::info_span!("grpc", path = request.uri().path(), id)
+    let key = tracing::field::Empty;
+    tracing::info_span!("grpc", path = request.uri().path(), id, key)
 }

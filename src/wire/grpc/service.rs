@@ -8,10 +8,12 @@ use futures_util::Stream;
 use tokio_util::sync::CancellationToken;
 use tonic::{Request, Response, Status, Streaming, async_trait};
 
+use super::admission::{Whole, permitted, ticket};
 use super::messages::{self, Detail, MessageKind};
 use super::{idempotency_key, solids, status, stream};
 use crate::geometry::CubeId;
 use crate::service::{AnyScene, SceneOf, Seq, Service, ServiceError};
+use crate::wire::access::{Effect, Ticket};
 use crate::wire::atomic::{Atomic, Run, Sent};
 use crate::wire::calls::{self, HistoryRows, within};
 use crate::wire::decode;
@@ -60,7 +62,11 @@ async fn bounded<T>(
 
 fn answered<T>(body: &str, answer: Result<T, Problem>) -> tonic::Result<Response<T>> {
     match answer {
-        Ok(answer) => Ok(Response::new(answer)),
+        Ok(answer) => {
+            let mut response = Response::new(answer);
+            response.extensions_mut().insert(Whole);
+            Ok(response)
+        }
         Err(problem) => Err(status::status(&problem, body)),
     }
 }
@@ -92,12 +98,15 @@ async fn apply<K: MessageKind>(
     sent: Sent,
     (run, key): (Run, Option<Box<str>>),
     detail: Detail,
+    ticket: &Ticket,
 ) -> Result<Outcome, Problem> {
     let change = Atomic::new(scene, settings, sent, limits.change_cubes_max);
     let applied = within(limits.request_timeout, change.apply(run, key)).await?;
     let (scene, settings) = (&change.scene, &change.settings);
     let mut outcome = messages::outcome(detail, scene, settings, &applied);
+    ticket.did(Effect::of(&applied));
     if run == Run::Dry {
+        ticket.did(Effect::of(&applied).dry());
         // What would be has no seq.
         if let Some(shown) = &mut outcome.mass_properties {
             shown.seq = 0;
@@ -115,10 +124,12 @@ async fn revert<K: MessageKind>(
     to: Seq,
     key: Option<Box<str>>,
     detail: Detail,
+    ticket: &Ticket,
 ) -> Result<Outcome, Problem> {
     // The body that says the same over HTTP, so that a key stands for the same.
     let body = format!("{{\"to\":{}}}", to.0);
     let applied = calls::revert(scene, to, key, body.as_bytes()).await?;
+    ticket.did(Effect::of(&applied));
     Ok(messages::outcome(detail, scene, settings, &applied))
 }
 
@@ -198,7 +209,7 @@ impl UnionService for Calls {
             scene,
             settings,
             solids,
-        } = request.into_inner();
+        } = permitted(request)?;
         let body = if solids.is_some() {
             "solids"
         } else {
@@ -233,7 +244,8 @@ impl UnionService for Calls {
         &self,
         request: Request<GetSceneRequest>,
     ) -> tonic::Result<Response<GetSceneResponse>> {
-        let found = self.service.any_scene(&request.get_ref().scene);
+        let request = permitted(request)?;
+        let found = self.service.any_scene(&request.scene);
         let found = found.map(|scene| GetSceneResponse {
             scene: Some(messages::scene(&scene)),
         });
@@ -242,11 +254,14 @@ impl UnionService for Calls {
 
     async fn list_scenes(
         &self,
-        _: Request<ListScenesRequest>,
+        request: Request<ListScenesRequest>,
     ) -> tonic::Result<Response<ListScenesResponse>> {
-        let scenes = self.service.scenes();
+        let (ticket, scenes) = (ticket(&request), self.service.scenes());
+        let readable = scenes
+            .iter()
+            .filter(|scene| ticket.may_read(scene.name().as_str()));
         Ok(Response::new(ListScenesResponse {
-            scenes: scenes.iter().map(messages::scene).collect(),
+            scenes: readable.map(messages::scene).collect(),
         }))
     }
 
@@ -254,8 +269,9 @@ impl UnionService for Calls {
         &self,
         request: Request<DeleteSceneRequest>,
     ) -> tonic::Result<Response<DeleteSceneResponse>> {
+        let request = permitted(request)?;
         bounded(&self.limits, "", async {
-            calls::remove(&self.service, &request.get_ref().scene).await?;
+            calls::remove(&self.service, &request.scene).await?;
             Ok(DeleteSceneResponse {})
         })
         .await
@@ -265,7 +281,7 @@ impl UnionService for Calls {
         &self,
         request: Request<DefineShapeRequest>,
     ) -> tonic::Result<Response<DefineShapeResponse>> {
-        let DefineShapeRequest { scene, name, shape } = request.into_inner();
+        let DefineShapeRequest { scene, name, shape } = permitted(request)?;
         bounded(&self.limits, "shape", async {
             let (scene, settings) = calls::open_solids(&self.service, &scene)?;
             let scale = settings.scale();
@@ -287,7 +303,8 @@ impl UnionService for Calls {
         &self,
         request: Request<ApplyChangeRequest>,
     ) -> tonic::Result<Response<ApplyChangeResponse>> {
-        let request = request.into_inner();
+        let ticket = ticket(&request);
+        let request = permitted(request)?;
         let work = async {
             let detail = Detail::of(request.detail)?;
             let key = idempotency_key(request.idempotency_key.as_deref())?;
@@ -299,10 +316,26 @@ impl UnionService for Calls {
             let sent = Sent::Message(Box::new(request.change.unwrap_or_default()));
             let outcome = match calls::open_any(&self.service, &request.scene)? {
                 Opened::Cubes(scene, settings) => {
-                    apply(&self.limits, (scene, settings), sent, (run, key), detail).await?
+                    apply(
+                        &self.limits,
+                        (scene, settings),
+                        sent,
+                        (run, key),
+                        detail,
+                        &ticket,
+                    )
+                    .await?
                 }
                 Opened::Solids(scene, settings) => {
-                    apply(&self.limits, (scene, settings), sent, (run, key), detail).await?
+                    apply(
+                        &self.limits,
+                        (scene, settings),
+                        sent,
+                        (run, key),
+                        detail,
+                        &ticket,
+                    )
+                    .await?
                 }
             };
             Ok(ApplyChangeResponse {
@@ -319,7 +352,9 @@ impl UnionService for Calls {
         request: Request<Streaming<StreamChangesRequest>>,
     ) -> tonic::Result<Response<Self::StreamChangesStream>> {
         let (limits, draining) = (self.limits, self.draining.clone());
-        let answers = stream::open(&self.service, limits, draining, request.into_inner()).await?;
+        let ticket = ticket(&request);
+        let inbound = request.into_inner();
+        let answers = stream::open(&self.service, limits, draining, ticket, inbound).await?;
         Ok(Response::new(Box::pin(answers)))
     }
 
@@ -327,17 +362,18 @@ impl UnionService for Calls {
         &self,
         request: Request<RevertSceneRequest>,
     ) -> tonic::Result<Response<RevertSceneResponse>> {
-        let request = request.into_inner();
+        let ticket = ticket(&request);
+        let request = permitted(request)?;
         let work = async {
             let detail = Detail::of(request.detail)?;
             let key = idempotency_key(request.idempotency_key.as_deref())?;
             let to = Seq(request.to);
             let outcome = match calls::open_any(&self.service, &request.scene)? {
                 Opened::Cubes(scene, settings) => {
-                    revert(&scene, &settings, to, key, detail).await?
+                    revert(&scene, &settings, to, key, detail, &ticket).await?
                 }
                 Opened::Solids(scene, settings) => {
-                    revert(&scene, &settings, to, key, detail).await?
+                    revert(&scene, &settings, to, key, detail, &ticket).await?
                 }
             };
             Ok(RevertSceneResponse {
@@ -351,7 +387,7 @@ impl UnionService for Calls {
         &self,
         request: Request<GetMassPropertiesRequest>,
     ) -> tonic::Result<Response<GetMassPropertiesResponse>> {
-        let GetMassPropertiesRequest { scene, at, wait } = request.into_inner();
+        let GetMassPropertiesRequest { scene, at, wait } = permitted(request)?;
         bounded(&self.limits, "", async {
             let wait_max = self.limits.wait_max;
             let shown = match calls::open_any(&self.service, &scene)? {
@@ -378,7 +414,8 @@ impl UnionService for Calls {
         &self,
         request: Request<WatchMassPropertiesRequest>,
     ) -> tonic::Result<Response<Self::WatchMassPropertiesStream>> {
-        let opened = calls::open_any(&self.service, &request.get_ref().scene);
+        let request = permitted(request)?;
+        let opened = calls::open_any(&self.service, &request.scene);
         let draining = self.draining.clone();
         Ok(Response::new(match answered("", opened)?.into_inner() {
             Opened::Cubes(scene, settings) => watch(scene, settings, draining),
@@ -392,7 +429,7 @@ impl UnionService for Calls {
         &self,
         request: Request<GetHistoryRequest>,
     ) -> tonic::Result<Response<Self::GetHistoryStream>> {
-        let request = request.into_inner();
+        let request = permitted(request)?;
         let read = || {
             let detail = Detail::of(request.detail)?;
             match calls::open_any(&self.service, &request.scene)? {
@@ -409,8 +446,9 @@ impl UnionService for Calls {
         &self,
         request: Request<ListCubesRequest>,
     ) -> tonic::Result<Response<Self::ListCubesStream>> {
+        let request = permitted(request)?;
         let work = async {
-            let (scene, _) = calls::open(&self.service, &request.get_ref().scene)?;
+            let (scene, _) = calls::open(&self.service, &request.scene)?;
             Ok(scene.cubes().await?)
         };
         let (Seq(seq), cubes) = bounded(&self.limits, "", work).await?.into_inner();
@@ -430,7 +468,7 @@ impl UnionService for Calls {
         &self,
         request: Request<GetCubeRequest>,
     ) -> tonic::Result<Response<GetCubeResponse>> {
-        let GetCubeRequest { scene, id } = request.into_inner();
+        let GetCubeRequest { scene, id } = permitted(request)?;
         bounded(&self.limits, "", async {
             let (scene, settings) = calls::open(&self.service, &scene)?;
             let place = calls::cube(&scene, CubeId(id)).await?;
@@ -446,8 +484,9 @@ impl UnionService for Calls {
         &self,
         request: Request<ListSolidsRequest>,
     ) -> tonic::Result<Response<Self::ListSolidsStream>> {
+        let request = permitted(request)?;
         let work = async {
-            let (scene, _) = calls::open_solids(&self.service, &request.get_ref().scene)?;
+            let (scene, _) = calls::open_solids(&self.service, &request.scene)?;
             let (seq, bodies) = scene.bodies().await?;
             Ok((seq, bodies, scene.context()?))
         };
@@ -468,7 +507,7 @@ impl UnionService for Calls {
         &self,
         request: Request<GetSolidRequest>,
     ) -> tonic::Result<Response<GetSolidResponse>> {
-        let GetSolidRequest { scene, id } = request.into_inner();
+        let GetSolidRequest { scene, id } = permitted(request)?;
         bounded(&self.limits, "", async {
             let (scene, settings) = calls::open_solids(&self.service, &scene)?;
             let body = calls::solid(&scene, CubeId(id)).await?;
@@ -483,7 +522,7 @@ impl UnionService for Calls {
         &self,
         request: Request<ContainsRequest>,
     ) -> tonic::Result<Response<ContainsResponse>> {
-        let ContainsRequest { scene, at } = request.into_inner();
+        let ContainsRequest { scene, at } = permitted(request)?;
         bounded(&self.limits, "", async {
             let Some(at) = at else {
                 return Err(Fault::in_parameter("at", calls::NO_POINT, "").into());
@@ -524,9 +563,9 @@ impl UnionService for Calls {
         &self,
         request: Request<AuditSceneRequest>,
     ) -> tonic::Result<Response<AuditSceneResponse>> {
+        let request = permitted(request)?;
         let work = async {
-            let (Seq(seq), cubes) = match calls::open_any(&self.service, &request.get_ref().scene)?
-            {
+            let (Seq(seq), cubes) = match calls::open_any(&self.service, &request.scene)? {
                 Opened::Cubes(scene, settings) => calls::audit(&scene, &settings).await?,
                 Opened::Solids(scene, settings) => calls::audit(&scene, &settings).await?,
             };

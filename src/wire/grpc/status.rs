@@ -29,6 +29,10 @@ const fn grpc_code(code: Code) -> GrpcCode {
         | Code::BadProtobuf
         | Code::UnsupportedMediaType
         | Code::Invalid => GrpcCode::InvalidArgument,
+        Code::Unauthenticated => GrpcCode::Unauthenticated,
+        Code::Forbidden | Code::OriginNotAllowed | Code::HostNotAllowed => {
+            GrpcCode::PermissionDenied
+        }
         Code::NoSuchPath | Code::MethodNotAllowed => GrpcCode::Unimplemented,
         Code::NoSuchScene | Code::NoSuchCube => GrpcCode::NotFound,
         Code::SceneExists | Code::IdConflict | Code::ShapeExists => GrpcCode::AlreadyExists,
@@ -37,9 +41,7 @@ const fn grpc_code(code: Code) -> GrpcCode {
         Code::RequestTimeout | Code::WaitTimeout | Code::AnswerTimeout => {
             GrpcCode::DeadlineExceeded
         }
-        Code::TooLarge | Code::SceneFull | Code::IdsExhausted | Code::QueueFull => {
-            GrpcCode::ResourceExhausted
-        }
+        Code::TooLarge | Code::SceneFull | Code::QueueFull => GrpcCode::ResourceExhausted,
         Code::Internal => GrpcCode::Internal,
         Code::AuditDifference | Code::SceneDamaged => GrpcCode::DataLoss,
         Code::Recovering

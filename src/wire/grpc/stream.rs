@@ -19,11 +19,13 @@ use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 use tonic::{Status, Streaming};
 
+use super::admission::may;
 use super::messages::{self, Detail, MessageKind, unknown};
 use super::status::{self, foreign};
 use crate::service::{
     Applied, Chain, Counting, Motion, Operations, SceneOf, ServiceError, Submission,
 };
+use crate::wire::access::{Effect, Ticket};
 use crate::wire::atomic::{Atomic, Sent};
 use crate::wire::calls;
 use crate::wire::http::Limits;
@@ -58,6 +60,7 @@ pub(super) async fn open(
     service: &crate::service::Service,
     limits: Limits,
     draining: CancellationToken,
+    ticket: Ticket,
     mut inbound: Streaming<StreamChangesRequest>,
 ) -> Result<Answers, Status> {
     let opening = timeout(limits.request_timeout, inbound.message()).await;
@@ -70,6 +73,7 @@ pub(super) async fn open(
         return Err(status::status(&fault.into(), ""));
     };
     let problem = |problem: Problem| status::status(&problem, "opening");
+    may(&ticket, &opening)?;
     let StreamOpening {
         scene,
         detail,
@@ -87,6 +91,7 @@ pub(super) async fn open(
         stops,
         limits,
         draining,
+        ticket,
     };
     match calls::open_any(service, &scene).map_err(problem)? {
         kind::Opened::Cubes(scene, settings) => opening.open(scene, settings).await,
@@ -102,6 +107,8 @@ struct Opening {
     stops: bool,
     limits: Limits,
     draining: CancellationToken,
+    /// Kept by the answers, so that the audit log has its line when the stream is over.
+    ticket: Ticket,
 }
 
 impl Opening {
@@ -117,6 +124,7 @@ impl Opening {
             stops,
             limits,
             draining,
+            ticket,
         } = self;
         // What an earlier stream of the client has queued is done before: so the seq in the answer is after it.
         let nothing = Submission {
@@ -143,16 +151,20 @@ impl Opening {
                 scene: Some(messages::scene(&K::any(scene.clone()))),
                 window_changes_max: WINDOW_CHANGES_MAX,
             })));
+            let mut effect = Effect::default();
             let mut done = std::pin::pin!(stream::unfold(reader, Reader::next).buffered(window));
             while let Some(done) = done.next().await {
                 let (tag, problem) = match done {
                     Done::Judged(tag, Ok(applied)) => {
+                        effect.add(&applied);
+                        ticket.did(effect);
                         let outcome = Some(messages::outcome(detail, &scene, &settings, &applied));
                         yield Ok(answer(response::Message::Acknowledged(Acknowledged { tag, outcome })));
                         continue;
                     }
                     Done::Judged(tag, Err(problem)) => (tag, problem),
                     Done::Ended(status) => {
+                        ticket.failed(status.code().description());
                         yield Err(status);
                         break;
                     }
@@ -167,10 +179,12 @@ impl Opening {
                     yield Ok(answer(response::Message::Refused(refused)));
                 }
                 if stops || !concerns_it {
+                    ticket.failed(problem.code().kind().code);
                     yield Err(status::status(&problem, BODY));
                     break;
                 }
             }
+            ticket.done();
         }))
     }
 }
@@ -185,12 +199,7 @@ fn answer(message: response::Message) -> StreamChangesResponse {
 fn concerns_the_change(code: Code) -> bool {
     matches!(
         code,
-        Code::Invalid
-            | Code::TooLarge
-            | Code::IdConflict
-            | Code::IdsExhausted
-            | Code::SceneFull
-            | Code::KeyReused
+        Code::Invalid | Code::TooLarge | Code::IdConflict | Code::SceneFull | Code::KeyReused
     )
 }
 

@@ -2,11 +2,11 @@
 
 use std::sync::Arc;
 
-use axum::Json;
 use axum::body::Body;
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderName, HeaderValue};
 use axum::response::{IntoResponse, Response};
+use axum::{Extension, Json};
 use serde::Serialize;
 use utoipa::ToSchema;
 
@@ -18,6 +18,7 @@ use super::{App, ndjson, scenes};
 use crate::engine::Op;
 use crate::geometry::CubeId;
 use crate::service::{Applied, Counting, Motion, Operations, SceneOf, Submission};
+use crate::wire::access::{Effect, Ticket};
 use crate::wire::atomic::{Atomic, Run, Sent};
 use crate::wire::calls;
 use crate::wire::decode;
@@ -133,12 +134,15 @@ impl Wanted {
     }
 }
 
+/// An answer, and what the audit log says of it.
+pub(super) type Answered = (Extension<Effect>, Json<ChangeAnswer>);
+
 pub(super) fn answer<K: ShownKind>(
     scene: &SceneOf<K>,
     settings: &K::Settings,
     wanted: Wanted,
     applied: &Applied<K>,
-) -> Json<ChangeAnswer> {
+) -> Answered {
     let Applied {
         published,
         counts,
@@ -151,7 +155,9 @@ pub(super) fn answer<K: ShownKind>(
     let is_dry = wanted.run == Run::Dry;
     // What would be has no seq.
     let as_of = (!is_dry).then_some(seq);
-    Json(ChangeAnswer {
+    let effect = Effect::of(applied);
+    let effect = if is_dry { effect.dry() } else { effect };
+    let document = ChangeAnswer {
         seq,
         dry_run: is_dry.then_some(true),
         inserted: counts.inserted,
@@ -165,7 +171,8 @@ pub(super) fn answer<K: ShownKind>(
         volume_removed_exact: volume_removed.to_string(),
         mass_properties: (wanted.returned == Return::Representation)
             .then(|| K::shown(K::properties(name, as_of, &published.totals, settings))),
-    })
+    };
+    (Extension(effect), Json(document))
 }
 
 fn applied_answer<K: ShownKind>(
@@ -218,6 +225,7 @@ fn applied_answer<K: ShownKind>(
 )]
 pub(super) async fn post_changes(
     State(app): State<App>,
+    Extension(ticket): Extension<Ticket>,
     Path(name): Path<String>,
     parameters: Parameters,
     headers: HeaderMap,
@@ -226,10 +234,10 @@ pub(super) async fn post_changes(
     let wanted = Wanted::read_of_change(parameters)?;
     match scenes::open_any(&app, &name)? {
         Opened::Cubes(scene, settings) => {
-            change(&app, (scene, settings), wanted, (&headers, body)).await
+            change(&app, &ticket, (scene, settings), wanted, (&headers, body)).await
         }
         Opened::Solids(scene, settings) => {
-            change(&app, (scene, settings), wanted, (&headers, body)).await
+            change(&app, &ticket, (scene, settings), wanted, (&headers, body)).await
         }
     }
 }
@@ -237,6 +245,7 @@ pub(super) async fn post_changes(
 /// A change of a scene of either kind, or a stream of them.
 async fn change<K: StreamedKind>(
     app: &App,
+    ticket: &Ticket,
     (scene, settings): (Arc<SceneOf<K>>, Arc<K::Settings>),
     wanted: Wanted,
     (headers, body): (&HeaderMap, Body),
@@ -245,7 +254,7 @@ async fn change<K: StreamedKind>(
     let (kind, key) = wanted.kind_and_key(headers, &taken)?;
     if kind == BodyType::Ndjson {
         let idle_max = app.limits.request_timeout;
-        let applied = ndjson::apply(&scene, &settings, body, idle_max).await;
+        let applied = ndjson::apply(&scene, &settings, body, idle_max, ticket).await;
         let applied = applied.map_err(|problem| problem.with_ids(wanted.ids))?;
         return Ok(answer(&scene, &settings, wanted, &applied).into_response());
     }
@@ -327,7 +336,7 @@ pub(super) async fn delete_cube(
     State(app): State<App>,
     Path((name, id)): Path<(String, String)>,
     parameters: Parameters,
-) -> Result<Json<ChangeAnswer>, Problem> {
+) -> Result<Answered, Problem> {
     let (scene, settings) = scenes::open(&app, &name)?;
     delete(&scene, &settings, &id, parameters).await
 }
@@ -338,7 +347,7 @@ pub(super) async fn delete<K: ShownKind>(
     settings: &K::Settings,
     id: &str,
     parameters: Parameters,
-) -> Result<Json<ChangeAnswer>, Problem> {
+) -> Result<Answered, Problem> {
     let wanted = Wanted::read(parameters)?;
     let id = CubeId(request::whole("id", id)?);
     let submission = Submission {

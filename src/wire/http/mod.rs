@@ -1,9 +1,10 @@
 //! The HTTP API: decode, ask the service, encode. One handler a call, one table of routes.
 //!
 //! ```text
-//!   request ── id, trace, measure ── compress ── problems only ── panics ── drain ── bounded time ── handler
+//!   request ── id, trace, measure ── compress ── problems only ── panics ── drain ── hosts, origins ── keys ── bounded time ── handler
 //! ```
 
+mod admission;
 mod changes;
 mod contains;
 mod cubes;
@@ -34,11 +35,13 @@ use tower::ServiceBuilder;
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::compression::CompressionLayer;
 use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetRequestIdLayer};
+use tower_http::sensitive_headers::SetSensitiveRequestHeadersLayer;
 use tower_http::trace::TraceLayer;
 use utoipa_swagger_ui::SwaggerUi;
 
 pub use self::operate::install_metrics;
 use self::request::Room;
+use super::access::Access;
 use super::calls::{self, within};
 use super::door::{Door, Protocol};
 use super::problem::{Code, Problem};
@@ -74,6 +77,7 @@ struct App {
     service: Service,
     limits: Limits,
     room: Room,
+    access: Access,
     metrics: PrometheusHandle,
 }
 
@@ -140,24 +144,26 @@ pub fn paths() -> Vec<&'static str> {
     routes.map(|(path, _)| path).collect()
 }
 
-/// Serves the HTTP API of a service until `draining` is cancelled and the requests that are under way then are answered.
+/// Serves the HTTP API of a service, for those who may, until `draining` is cancelled and the requests that are under way then are answered.
 pub async fn serve(
     door: Door,
     listener: TcpListener,
     service: Service,
     limits: Limits,
+    access: Access,
     draining: CancellationToken,
 ) {
-    let router = router(service, limits);
+    let router = router(service, limits, access);
     door.serve(listener, Protocol::Http, router, draining).await;
 }
 
-/// The HTTP API of a service.
-fn router(service: Service, limits: Limits) -> Router {
+/// The HTTP API of a service, for those who may.
+fn router(service: Service, limits: Limits, access: Access) -> Router {
     let app = App {
         service,
         limits,
         room: Room::new(&limits),
+        access: access.clone(),
         metrics: install_metrics(),
     };
     let add = |router: Router<App>, (path, methods): Route| router.route(path, methods);
@@ -173,6 +179,9 @@ fn router(service: Service, limits: Limits) -> Router {
         .layer(
             ServiceBuilder::new()
                 .layer(SetRequestIdLayer::x_request_id(MakeRequestUuid))
+                .layer(SetSensitiveRequestHeadersLayer::new([
+                    header::AUTHORIZATION,
+                ]))
                 .layer(TraceLayer::new_for_http().make_span_with(span))
                 .layer(PropagateRequestIdLayer::x_request_id())
                 .layer(middleware::from_fn(measure))
@@ -182,7 +191,14 @@ fn router(service: Service, limits: Limits) -> Router {
                 .layer(middleware::from_fn_with_state(
                     limits.request_timeout,
                     drain::drain_body,
-                )),
+                ))
+                .layer(middleware::from_fn_with_state(
+                    access.clone(),
+                    admission::known_hosts,
+                ))
+                .layer(middleware::from_fn(admission::preflight))
+                .option_layer(admission::cross_origin(&access))
+                .layer(middleware::from_fn_with_state(access, admission::admit)),
         )
         .with_state(app)
 }
@@ -261,5 +277,6 @@ fn span<B>(request: &axum::http::Request<B>) -> tracing::Span {
         .headers()
         .get("x-request-id")
         .and_then(|id| id.to_str().ok());
-    tracing::info_span!("http", method = %request.method(), path = request.uri().path(), id)
+    let key = tracing::field::Empty;
+    tracing::info_span!("http", method = %request.method(), path = request.uri().path(), id, key)
 }

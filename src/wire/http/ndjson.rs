@@ -22,6 +22,7 @@ use crate::service::{
     Applied, Counting, Cubes, Kind, Motion, Operations, Published, SceneOf, ServiceError, Solids,
     Submission,
 };
+use crate::wire::access::{Effect, Ticket};
 use crate::wire::atomic::ChangedKind;
 use crate::wire::decode;
 use crate::wire::problem::{Code, Problem};
@@ -87,6 +88,7 @@ pub(super) async fn apply<K: StreamedKind>(
     settings: &Arc<K::Settings>,
     body: Body,
     idle_max: Duration,
+    ticket: &Ticket,
 ) -> Result<Applied<K>, Problem> {
     let mut body = body.into_data_stream();
     let mut lines = Lines::new(scene, settings);
@@ -114,6 +116,9 @@ pub(super) async fn apply<K: StreamedKind>(
             committed = async { in_flight.as_mut().expect("checked").await }, if in_flight.is_some() => {
                 in_flight = None;
                 sums.add(&committed);
+                if let Some(published) = sums.published {
+                    ticket.did(Effect::of(&sums.applied_as_of(published)));
+                }
                 if let Some((line, problem)) = committed.failed {
                     return Err(sums.stopped(scene, line, problem));
                 }
@@ -141,13 +146,7 @@ pub(super) async fn apply<K: StreamedKind>(
         return Err(sums.stopped(scene, lines.number + 1, problem));
     }
     let published = sums.published.map_or_else(|| scene.published(), Ok)?;
-    Ok(Applied {
-        published,
-        counts: sums.counts,
-        assigned: None,
-        volume_removed: sums.volume_removed,
-        replayed: false,
-    })
+    Ok(sums.applied_as_of(published))
 }
 
 /// Reads a piece of the body where it does not hold up other requests.
@@ -288,6 +287,17 @@ impl<K: StreamedKind> Sums<K> {
         self.counts.unchanged += committed.counts.unchanged;
         self.volume_removed += committed.volume_removed;
         self.published = committed.published.or(self.published);
+    }
+
+    /// What was committed, as the one change that it is answered as.
+    fn applied_as_of(&self, published: Published<K>) -> Applied<K> {
+        Applied {
+            published,
+            counts: self.counts,
+            assigned: None,
+            volume_removed: self.volume_removed,
+            replayed: false,
+        }
     }
 
     /// The problem that stopped the stream at `line`, with how far it came.

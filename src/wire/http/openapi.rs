@@ -5,10 +5,11 @@
 use std::collections::BTreeMap;
 use std::sync::OnceLock;
 
-use axum::http::header;
+use axum::http::{Method, header};
 use axum::response::{IntoResponse, Response};
 use serde_json::{Map, Value, json};
 use utoipa::openapi::path::Operation;
+use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityRequirement, SecurityScheme};
 use utoipa::openapi::{
     ContentBuilder, HeaderBuilder, Object, Ref, RefOr, ResponseBuilder, Type,
     example::ExampleBuilder,
@@ -17,6 +18,7 @@ use utoipa::{Modify, OpenApi};
 
 use super::problem::ProblemDocument;
 use super::{changes, contains, cubes, history, operate, reads, scenes, solids};
+use crate::wire::access::{Need, of_http};
 use crate::wire::problem::{Code, Kind};
 
 #[derive(OpenApi)]
@@ -36,7 +38,7 @@ use crate::wire::problem::{Code, Kind};
         operate::get_problems, operate::get_problem,
     ),
     components(schemas(ProblemDocument)),
-    modifiers(&Problems),
+    modifiers(&Problems, &Keys),
     tags(
         (name = "scenes", description = "Sets of equal cubes, or of solids"),
         (name = "changes", description = "Inserting and deleting cubes or solids"),
@@ -194,10 +196,10 @@ fn complete_parameter(parameter: &mut Map<String, Value>) {
 /// What a call may fail with, besides [`EVERY_CALL`] and, where a scene must answer, [`EVERY_SCENE`].
 fn failures(operation: &str) -> &'static [Code] {
     use Code::{
-        AuditDifference, BadJson, BadProtobuf, DiskFull, IdConflict, IdsExhausted, KeyReused,
-        NoSuchCube, NoSuchPath, NotReachable, OtherKind, QueueFull, Recovering, RequestTimeout,
-        SceneExists, SceneFull, SeqNotKept, SeqNotReached, ShapeExists, ShuttingDown,
-        StorageFailed, TooLarge, UnsupportedMediaType, WaitTimeout,
+        AuditDifference, BadJson, BadProtobuf, DiskFull, IdConflict, KeyReused, NoSuchCube,
+        NoSuchPath, NotReachable, OtherKind, QueueFull, Recovering, RequestTimeout, SceneExists,
+        SceneFull, SeqNotKept, SeqNotReached, ShapeExists, ShuttingDown, StorageFailed, TooLarge,
+        UnsupportedMediaType, WaitTimeout,
     };
     match operation {
         "put_scene" => &[
@@ -217,7 +219,6 @@ fn failures(operation: &str) -> &'static [Code] {
             BadProtobuf,
             RequestTimeout,
             IdConflict,
-            IdsExhausted,
             TooLarge,
             UnsupportedMediaType,
             SceneFull,
@@ -246,7 +247,14 @@ fn failures(operation: &str) -> &'static [Code] {
         "get_mass_properties" => &[SeqNotKept, SeqNotReached, WaitTimeout],
         "get_history" => &[SeqNotKept],
         "get_cube" | "get_solid" => &[NoSuchCube],
-        "post_audit" => &[AuditDifference],
+        "post_audit" => &[
+            AuditDifference,
+            BadJson,
+            RequestTimeout,
+            TooLarge,
+            UnsupportedMediaType,
+            QueueFull,
+        ],
         "get_readyz" => &[Recovering],
         "get_problem" => &[NoSuchPath],
         _ => &[],
@@ -254,7 +262,13 @@ fn failures(operation: &str) -> &'static [Code] {
 }
 
 /// What every call may fail with.
-const EVERY_CALL: &[Code] = &[Code::Internal, Code::AnswerTimeout];
+const EVERY_CALL: &[Code] = &[
+    Code::Internal,
+    Code::AnswerTimeout,
+    Code::BadRequest,
+    Code::HostNotAllowed,
+    Code::OriginNotAllowed,
+];
 
 /// What every call with a query or a path may fail with.
 const EVERY_PARAMETER: &[Code] = &[Code::BadRequest, Code::Invalid];
@@ -276,21 +290,62 @@ impl Modify for Problems {
     fn modify(&self, description: &mut utoipa::openapi::OpenApi) {
         for (path, item) in &mut description.paths.paths {
             let operations = [
-                &mut item.get,
-                &mut item.put,
-                &mut item.post,
-                &mut item.delete,
+                (Method::GET, &mut item.get),
+                (Method::PUT, &mut item.put),
+                (Method::POST, &mut item.post),
+                (Method::DELETE, &mut item.delete),
             ];
-            for operation in operations.into_iter().flatten() {
-                add_failures(path, operation);
+            for (method, operation) in operations {
+                if let Some(operation) = operation {
+                    let need = of_http(&method, Some(path)).need;
+                    add_failures(path, need, operation);
+                    add_security(need, operation);
+                }
             }
         }
     }
 }
 
-fn add_failures(path: &str, operation: &mut Operation) {
+/// The name of the scheme by which callers say who they are.
+const KEY: &str = "key";
+
+/// Says whether a call needs a key. On a server without keys none does, so that none is always a choice.
+fn add_security(need: Need, operation: &mut Operation) {
+    operation.security = Some(match need {
+        Need::Nothing => vec![],
+        Need::AnyKey | Need::Scene(_) | Need::All(_) => {
+            let nothing: [&str; 0] = [];
+            vec![
+                SecurityRequirement::default(),
+                SecurityRequirement::new(KEY, nothing),
+            ]
+        }
+    });
+}
+
+struct Keys;
+
+impl Modify for Keys {
+    fn modify(&self, description: &mut utoipa::openapi::OpenApi) {
+        let scheme = HttpBuilder::new()
+            .scheme(HttpAuthScheme::Bearer)
+            .description(Some(
+                "A key of the server, if it has keys: `union3d key new` makes one. It has rights (read, write, admin) on scenes.",
+            ))
+            .build();
+        let components = description.components.get_or_insert_default();
+        components.add_security_scheme(KEY, SecurityScheme::Http(scheme));
+    }
+}
+
+fn add_failures(path: &str, need: Need, operation: &mut Operation) {
     let name = operation.operation_id.clone().unwrap_or_default();
     let mut codes = [failures(&name), EVERY_CALL].concat();
+    match need {
+        Need::Nothing => {}
+        Need::AnyKey => codes.push(Code::Unauthenticated),
+        Need::Scene(_) | Need::All(_) => codes.extend([Code::Unauthenticated, Code::Forbidden]),
+    }
     if path.starts_with("/v1/") {
         codes.extend_from_slice(EVERY_PARAMETER);
     }
@@ -340,6 +395,15 @@ fn failure(kinds: &[&Kind]) -> utoipa::openapi::Response {
     let response = ResponseBuilder::new()
         .description(titles.join("; "))
         .content("application/problem+json", content);
+    let needs_a_key = kinds.contains(&Code::Unauthenticated.kind());
+    let response = if needs_a_key {
+        let scheme = HeaderBuilder::new()
+            .description(Some("`Bearer`, which is how a key is sent"))
+            .build();
+        response.header("WWW-Authenticate", scheme)
+    } else {
+        response
+    };
     if kinds.iter().all(|kind| kind.retry_after_seconds.is_none()) {
         return response.build();
     }

@@ -2,10 +2,10 @@
 
 use std::sync::OnceLock;
 
-use axum::Json;
 use axum::extract::State;
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
+use axum::{Extension, Json};
 use metrics_exporter_prometheus::{PrometheusBuilder, PrometheusHandle};
 use serde::Serialize;
 use utoipa::ToSchema;
@@ -13,6 +13,7 @@ use utoipa::ToSchema;
 use super::App;
 use super::request::Path;
 use crate::service::{AnyScene, Readiness, SceneState};
+use crate::wire::access::Ticket;
 use crate::wire::problem::{Code, KINDS, Kind, Problem};
 
 /// Upper bounds of the histograms, all of which are of times, in seconds.
@@ -75,8 +76,10 @@ pub(super) async fn get_healthz() -> Json<Health> {
 pub(crate) struct Ready {
     /// Always true: otherwise the answer is a problem.
     ready: bool,
-    /// Scenes that are stopped or damaged.
+    /// Scenes that are stopped or damaged, of those that the key may read; without a key none, where there are keys.
     troubled: Vec<Troubled>,
+    /// What those who run the server should know: that it is open to more than it should be, that the file of keys is broken.
+    warnings: Vec<String>,
 }
 
 /// A scene that does not answer.
@@ -91,9 +94,13 @@ pub(crate) struct Troubled {
 /// Whether all scenes are replayed
 #[utoipa::path(get, path = "/readyz", tag = "operation",
     responses((status = 200, description = "They are", body = Ready)))]
-pub(super) async fn get_readyz(State(app): State<App>) -> Result<Json<Ready>, Problem> {
+pub(super) async fn get_readyz(
+    State(app): State<App>,
+    Extension(ticket): Extension<Ticket>,
+) -> Result<Json<Ready>, Problem> {
     match app.service.readiness() {
-        Readiness::Ready { troubled } => {
+        Readiness::Ready { mut troubled } => {
+            troubled.retain(|(scene, _)| ticket.may_read(scene.as_str()));
             let troubled = troubled.into_iter().map(|(scene, cause)| Troubled {
                 scene: scene.as_str().to_owned(),
                 cause,
@@ -101,6 +108,7 @@ pub(super) async fn get_readyz(State(app): State<App>) -> Result<Json<Ready>, Pr
             Ok(Json(Ready {
                 ready: true,
                 troubled: troubled.collect(),
+                warnings: app.access.warnings(),
             }))
         }
         Readiness::Recovering { percent } => {

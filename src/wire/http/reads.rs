@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::Json;
+use axum::body::Body;
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::sse::{Event, KeepAlive, Sse};
@@ -13,10 +14,12 @@ use headers::{ETag, HeaderMapExt, IfNoneMatch};
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::request::{Parameters, Path};
+use super::request::{self, BodyType, Parameters, Path, body_type};
 use super::{App, scenes};
 use crate::service::{Published, SceneKind, SceneOf, Seq};
 use crate::wire::calls;
+use crate::wire::decode;
+use crate::wire::documents::AuditRequest;
 use crate::wire::kind::{Opened, Properties, ShownKind};
 use crate::wire::problem::Problem;
 
@@ -161,17 +164,24 @@ pub(crate) struct AuditDocument {
 /// Recount everything
 ///
 /// Counts all measures again from the cubes or solids alone and compares. Changes go on meanwhile. Takes as long as inserting all cubes.
+/// The body may be left out, its type may not: so no form of a page of another origin can ask for it.
 #[utoipa::path(
     post, path = "/v1/scenes/{scene}/audit", tag = "mass properties",
     params(("scene" = String, Path, description = "Name of the scene", example = "pocket")),
+    request_body(content((AuditRequest = "application/json", example = json!({})))),
     responses((status = 200, description = "The totals are those of the cubes", body = AuditDocument))
 )]
 pub(super) async fn post_audit(
     State(app): State<App>,
     Path(name): Path<String>,
     parameters: Parameters,
+    headers: HeaderMap,
+    body: Body,
 ) -> Result<Json<AuditDocument>, Problem> {
     parameters.only(&[])?;
+    body_type(&headers, &[BodyType::Json])?;
+    let body = request::read(&headers, body, &app.limits, &app.room).await?;
+    decode::audit(&body.bytes)?;
     let (seq, cubes, solids) = match scenes::open_any(&app, &name)? {
         Opened::Cubes(scene, settings) => {
             let (seq, cubes) = calls::audit(&scene, &settings).await?;

@@ -2,17 +2,18 @@
 
 use std::sync::Arc;
 
-use axum::Json;
 use axum::body::Body;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
+use axum::{Extension, Json};
 use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::request::{self, BodyType, Parameters, Path, body_type};
 use super::{App, Limits};
 use crate::service::{AnyScene, Scene, SceneState, SolidScene};
+use crate::wire::access::Ticket;
 use crate::wire::calls::{self, incarnation};
 use crate::wire::convert::{Settings, SettingsDocument};
 use crate::wire::decode;
@@ -196,18 +197,24 @@ pub(super) async fn put_scene(
 }
 
 /// List the scenes
+///
+/// Those that the key may read.
 #[utoipa::path(
     get, path = "/v1/scenes", tag = "scenes",
     responses((status = 200, description = "All scenes", body = SceneList))
 )]
 pub(super) async fn get_scenes(
     State(app): State<App>,
+    Extension(ticket): Extension<Ticket>,
     parameters: Parameters,
 ) -> Result<Json<SceneList>, Problem> {
     parameters.only(&[])?;
     let scenes = app.service.scenes();
+    let readable = scenes
+        .iter()
+        .filter(|scene| ticket.may_read(scene.name().as_str()));
     Ok(Json(SceneList {
-        scenes: scenes.iter().map(document).collect(),
+        scenes: readable.map(document).collect(),
     }))
 }
 

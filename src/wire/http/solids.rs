@@ -11,7 +11,7 @@ use headers::HeaderMapExt;
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::changes::{self, ChangeAnswer};
+use super::changes::{self, Answered, ChangeAnswer};
 use super::cubes::{CURSOR_MARK, cursor};
 use super::reads::entity_tag;
 use super::request::{
@@ -180,7 +180,7 @@ pub(super) async fn delete_solid(
     State(app): State<App>,
     Path((name, id)): Path<(String, String)>,
     parameters: Parameters,
-) -> Result<Json<ChangeAnswer>, Problem> {
+) -> Result<Answered, Problem> {
     let (scene, settings) = scenes::open_solids(&app, &name)?;
     changes::delete(&scene, &settings, &id, parameters).await
 }

@@ -175,7 +175,8 @@ pub(in crate::wire) fn solid_measures(
         .map(|central| central.error_max(measures, error_max));
     let (centroid_error, inertia_error) = central_error.unwrap_or_default();
     let position = |steps: f64| steps / scale.power(1);
-    let moment = |steps5: f64| density * steps5 / scale.power(5);
+    // The density comes last: a tiny one would leave nothing of the rest.
+    let moment = |steps5: f64| steps5 / scale.power(5) * density;
     SolidMeasures {
         volume,
         area: solid_area(measures.area2, scale),

@@ -20,7 +20,7 @@ use crate::service::{NamedShape, SHAPES_MAX, Shapes};
 use crate::wire::convert::{
     DENSITY_MAX, KindName, Rounding, STEPS_PER_UNIT_MAX, UNIT_BYTES_MAX, whole,
 };
-use crate::wire::objects::{not_null, objects_only};
+use crate::wire::objects::objects_only;
 use crate::wire::problem::{Fault, Faults};
 
 /// Longest name of a shape, in bytes.
@@ -52,8 +52,7 @@ pub struct SolidSettingsDocument {
     pub rounding: Rounding,
     /// The block of material that the solids are cut from, in user units: then the mass properties are those of what is removed, and say
     /// what remains.
-    #[serde(default, deserialize_with = "not_null")]
-    #[schema(nullable = false)]
+    #[serde(default)]
     pub stock: Option<SolidStockDocument>,
     /// Shapes by their names, to begin with; at most 1,024.
     #[serde(default, deserialize_with = "each_name_once")]

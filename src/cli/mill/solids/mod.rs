@@ -254,9 +254,10 @@ impl Run<'_> {
     }
 
     async fn target(&self, blank: &Blank) -> Result<Target, Failure> {
+        let credentials = self.args.credentials.read()?;
         match (&self.args.server, &self.args.grpc) {
-            (Some(server), _) => Target::http(server, &self.wanted, blank).await,
-            (None, Some(server)) => Target::grpc(server, &self.wanted, blank).await,
+            (Some(server), _) => Target::http(server, &credentials, &self.wanted, blank).await,
+            (None, Some(server)) => Target::grpc(server, &credentials, &self.wanted, blank).await,
             (None, None) => {
                 self.args.check_scene()?;
                 Ok(Target::here(blank, self.args.contact))
@@ -266,6 +267,7 @@ impl Run<'_> {
 
     /// Changes the program in a scene to this one.
     async fn replace(self, server: &str, mut shop: Shop<'_>, mut warnings: Warnings) -> Outcome {
+        let credentials = self.args.credentials.read()?;
         let bar = progress::moves(self.steps.len() as u64);
         let mut strokes = Vec::new();
         for (step, seconds) in &self.steps {
@@ -273,7 +275,7 @@ impl Run<'_> {
             bar.inc(1);
         }
         bar.finish_and_clear();
-        let replaced = replace::replace(server, &self.wanted, &strokes).await?;
+        let replaced = replace::replace(server, &credentials, &self.wanted, &strokes).await?;
         warnings.close(&bar);
         let Measured { removed, remaining } = replaced.measured;
         let replaced = Replaced {

@@ -14,6 +14,7 @@ use union3d::engine::solids::SolidId;
 use union3d::geometry::convex::Point;
 use union3d::wire::proto::{Change, ListSolidsRequest};
 
+use super::super::super::credentials::Credentials;
 use super::super::grpc::{self, GrpcStream};
 use super::Failure;
 use super::scene::{Defined, Wanted};
@@ -44,10 +45,11 @@ struct Difference<'cuts> {
 /// Changes the scene to the strokes of the program.
 pub(super) async fn replace(
     server: &str,
+    credentials: &Credentials,
     wanted: &Wanted,
     strokes: &[Stroke],
 ) -> Result<Replaced, Failure> {
-    let mut client = grpc::connect(server).await?;
+    let mut client = grpc::connect(server, credentials).await?;
     if wanted.find_grpc(&mut client, server).await?.is_none() {
         return Err(format!(
             "there is no scene {:?} to replace the program of: mill it without --replace first",

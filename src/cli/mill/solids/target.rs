@@ -9,6 +9,7 @@ use union3d::wire::solids::{Scale, SolidMeasures, SolidProperties, solid_propert
 use uuid::Uuid;
 
 use super::super::super::client::Client;
+use super::super::super::credentials::Credentials;
 use super::super::grpc::{self, Done, GrpcStream};
 use super::super::line::Material as State;
 use super::super::tally::{self, Kind, ToolCut};
@@ -91,10 +92,11 @@ impl Target {
     /// Into a scene, over HTTP.
     pub(super) async fn http(
         server: &str,
+        credentials: &Credentials,
         wanted: &Wanted,
         blank: &Blank,
     ) -> Result<Self, Failure> {
-        let mut client = Client::of(server, &wanted.name)?;
+        let mut client = Client::of(server, credentials, &wanted.name)?;
         let found = match wanted.find_http(&mut client).await? {
             Some(found) => wanted.check_empty(found)?,
             None => wanted.create_http(&client).await?,
@@ -111,10 +113,11 @@ impl Target {
     /// Into a scene, over gRPC.
     pub(super) async fn grpc(
         server: &str,
+        credentials: &Credentials,
         wanted: &Wanted,
         blank: &Blank,
     ) -> Result<Self, Failure> {
-        let mut client = grpc::connect(server).await?;
+        let mut client = grpc::connect(server, credentials).await?;
         let found = wanted.open_grpc(&mut client, server).await?;
         let found = wanted.check_empty(found)?;
         Ok(Self::Grpc {

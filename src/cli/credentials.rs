@@ -1,0 +1,53 @@
+//! What a client shows a server to be let in.
+
+use std::path::PathBuf;
+
+use reqwest::header::HeaderValue;
+
+/// The variable that holds the key where there is no file.
+const VARIABLE: &str = "UNION3D_KEY";
+
+/// How to be let in.
+#[derive(Clone, Debug, Default, clap::Args)]
+pub(crate) struct CredentialsArgs {
+    /// File with the key for the server, where that has keys [default: the variable UNION3D_KEY, if it is set]. The key is not taken
+    /// as an argument, which everybody on this machine could read.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) key_file: Option<PathBuf>,
+}
+
+/// What is shown with every request.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Credentials {
+    /// The value of `Authorization`, marked as secret.
+    pub(crate) authorization: Option<HeaderValue>,
+}
+
+impl CredentialsArgs {
+    /// Reads the key.
+    pub(crate) fn read(&self) -> Result<Credentials, String> {
+        let (text, from) = match &self.key_file {
+            Some(path) => {
+                let text = std::fs::read_to_string(path)
+                    .map_err(|error| format!("--key-file {}: {error}", path.display()))?;
+                (text, format!("--key-file {}", path.display()))
+            }
+            None => match std::env::var(VARIABLE) {
+                Ok(text) if !text.trim().is_empty() => (text, VARIABLE.to_owned()),
+                _ => return Ok(Credentials::default()),
+            },
+        };
+        let key = text.trim();
+        let is_key = !key.is_empty() && key.bytes().all(|byte| byte.is_ascii_graphic());
+        let value = HeaderValue::try_from(format!("Bearer {key}"));
+        let mut value = value
+            .ok()
+            .filter(|_| is_key)
+            // What stands there is not shown: most of it may be a key.
+            .ok_or_else(|| format!("{from}: there is no single key"))?;
+        value.set_sensitive(true);
+        Ok(Credentials {
+            authorization: Some(value),
+        })
+    }
+}
