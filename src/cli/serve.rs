@@ -15,7 +15,7 @@ use tracing_subscriber::EnvFilter;
 use union3d::config::{LogFormat, ServeConfig, ServeFlags};
 use union3d::service::{Readiness, Service};
 use union3d::wire::grpc;
-use union3d::wire::http::{Limits, install_metrics, router};
+use union3d::wire::http::{Limits, install_metrics, keep_metrics, router};
 
 use super::Outcome;
 
@@ -76,7 +76,7 @@ pub(crate) async fn serve(
     let grpc_listener = listen(config.grpc, "--grpc").await?;
     let (address, grpc_address) = (listener.local_addr()?, grpc_listener.local_addr()?);
     // First, so that what the start counts is counted.
-    install_metrics();
+    tokio::spawn(keep_metrics(install_metrics()));
     let service = Service::start(config.service())?;
     let limits = Limits {
         body_bytes_max: config.body_bytes_max.get(),

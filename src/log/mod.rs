@@ -45,7 +45,9 @@ pub use bytes::{Malformed, Reader};
 pub(crate) use bytes::{put_signed, put_varint};
 pub use codec::RECORD_CUBES_MAX;
 pub use columns::{ColumnReader, ColumnWriter};
-pub use files::{TEMPORARY_PREFIX, create_directories, is_of, remove_leftovers, remove_scene};
+pub use files::{
+    TEMPORARY_PREFIX, create_directories, is_of, remove_leftovers, remove_scene, write_ahead_bytes,
+};
 pub use history::HistoryReader;
 pub(crate) use kind::COORDINATE_BYTES_MAX;
 pub use kind::{Cubes, Kind};

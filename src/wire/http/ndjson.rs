@@ -24,6 +24,7 @@ use crate::service::{
 };
 use crate::wire::atomic::ChangedKind;
 use crate::wire::decode;
+use crate::wire::open::OpenStream;
 use crate::wire::problem::{Code, Problem};
 
 /// Operations that are worth a chunk; a hull counts as its vertices do.
@@ -88,6 +89,7 @@ pub(super) async fn apply<K: StreamedKind>(
     body: Body,
     idle_max: Duration,
 ) -> Result<Applied<K>, Problem> {
+    let _open = OpenStream::http();
     let mut body = body.into_data_stream();
     let mut lines = Lines::new(scene, settings);
     let mut waiting = Chunk::<K>::default();
