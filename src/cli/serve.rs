@@ -17,7 +17,7 @@ use union3d::config::{ListenAddress, LogFormat, ServeConfig, ServeFlags};
 use union3d::service::{Readiness, Service};
 use union3d::wire::access::{Access, Hosts};
 use union3d::wire::door::{Door, Tls};
-use union3d::wire::http::{Limits, install_metrics};
+use union3d::wire::http::{Limits, install_metrics, keep_metrics};
 use union3d::wire::{grpc, http};
 
 use super::Outcome;
@@ -92,7 +92,7 @@ pub(crate) async fn serve(
     let (address, grpc_address) = (listener.local_addr()?, grpc_listener.local_addr()?);
     let access = access(config, [address, grpc_address])?;
     // First, so that what the start counts is counted.
-    install_metrics();
+    tokio::spawn(keep_metrics(install_metrics()));
     let service = Service::start(config.service())?;
     let limits = Limits {
         body_bytes_max: config.body_bytes_max.get(),

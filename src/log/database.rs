@@ -15,6 +15,7 @@
 
 use std::io;
 use std::sync::{Arc, Weak};
+use std::time::{Duration, Instant};
 
 use parking_lot::{MappedMutexGuard, Mutex, MutexGuard};
 use rusqlite::config::DbConfig;
@@ -44,6 +45,8 @@ pub(super) struct Database {
     settled: bool,
     /// Pages of the write-ahead file that are not in the database yet, as of the last commit; 0 from a checkpoint to the next commit.
     unmoved_pages: u64,
+    /// How long SQLite took for the last commit: it writes the pages to the write-ahead file, and syncs it.
+    commit_time: Duration,
     readers: Vec<Weak<Mutex<Option<Connection>>>>,
 }
 
@@ -131,6 +134,7 @@ impl Database {
             page_size,
             settled: false,
             unmoved_pages: 0,
+            commit_time: Duration::ZERO,
             readers: Vec::new(),
         };
         Ok((database, meta))
@@ -154,10 +158,12 @@ impl Database {
                 Transaction::new_unchecked(&self.connection, TransactionBehavior::Immediate)?;
             work(&transaction, self.seal, &mut superblock)?;
             superblock.write(&transaction, self.seal)?;
-            transaction.commit()
+            let begun = Instant::now();
+            transaction.commit()?;
+            Ok(begun.elapsed())
         };
         let committed = commit();
-        self.outcome(committed)?;
+        self.commit_time = self.outcome(committed)?;
         self.superblock = superblock;
         self.mark();
         // When SQLite does not say, the next commit asks again.
@@ -207,11 +213,16 @@ impl Database {
 
     /// Moves pages from the write-ahead file into the database, as far as nobody reads them there: when that is all of them, the next
     /// transaction begins the file anew. SQLite does so by itself, too, unless told otherwise, and does not say when it fails.
-    pub(super) fn checkpoint(&mut self) -> Result<(), LogError> {
+    /// Answers how many pages were left.
+    pub(super) fn checkpoint(&mut self) -> Result<u64, LogError> {
         let moved = self
             .connection
-            .query_row("PRAGMA wal_checkpoint(PASSIVE)", [], |_| Ok(()));
-        self.outcome(moved).map_err(|error| match error {
+            .query_row("PRAGMA wal_checkpoint(PASSIVE)", [], |row| {
+                // Minus one when SQLite does not know.
+                let pages = [row.get::<_, i64>(1)?, row.get(2)?];
+                Ok(u64::try_from(pages[0] - pages[1]).unwrap_or(0))
+            });
+        let left = self.outcome(moved).map_err(|error| match error {
             LogError::Failed { path, cause } => LogError::Failed {
                 path,
                 cause: format!("SQLite's write-ahead file cannot be moved into it: {cause}"),
@@ -219,7 +230,12 @@ impl Database {
             error => error,
         })?;
         self.unmoved_pages = 0;
-        Ok(())
+        Ok(left)
+    }
+
+    /// How long SQLite took for the last commit, its sync included.
+    pub(super) fn commit_time(&self) -> Duration {
+        self.commit_time
     }
 
     /// Pages of the write-ahead file that were not in the database at the last commit; 0 since the last checkpoint.

@@ -261,6 +261,11 @@ pub fn is_of<K: Kind>(directory: &Path) -> Result<bool, LogError> {
     }
 }
 
+/// Bytes of SQLite's write-ahead file in the directory of a scene; 0 when there is none, or it cannot be looked at.
+pub fn write_ahead_bytes(directory: &Path) -> u64 {
+    fs::metadata(Site::new(directory).write_ahead()).map_or(0, |file| file.len())
+}
+
 /// How far the log had come when something was last answered for.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 pub(super) struct CommitMarker {

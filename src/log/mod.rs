@@ -47,7 +47,7 @@ pub use codec::RECORD_CUBES_MAX;
 pub use columns::{ColumnReader, ColumnWriter};
 pub use files::{
     FILE_MODE, TEMPORARY_PREFIX, close_to_others, create_directories, is_of, is_open_to_others,
-    remove_leftovers, remove_scene,
+    remove_leftovers, remove_scene, write_ahead_bytes,
 };
 pub use history::HistoryReader;
 pub(crate) use kind::COORDINATE_BYTES_MAX;

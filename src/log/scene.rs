@@ -6,7 +6,7 @@
 use std::collections::HashMap;
 use std::fmt;
 use std::path::Path;
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use super::bytes::{Malformed, count};
 use super::chunks::SnapshotWriter;
@@ -285,11 +285,21 @@ impl<K: Kind> Log<K> {
         self.database.unmoved_pages() >= self.keep.write_ahead_pages_max
     }
 
+    /// Pages of SQLite's write-ahead file that were not in the database at the last commit; 0 since the last checkpoint. No I/O.
+    pub fn unmoved_pages(&self) -> u64 {
+        self.database.unmoved_pages()
+    }
+
+    /// How long the last append took to become durable: SQLite's writing of the write-ahead file, and its sync.
+    pub fn commit_time(&self) -> Duration {
+        self.database.commit_time()
+    }
+
     /// Moves what SQLite's write-ahead file holds into the database, so that the file does not grow for ever. Nothing that was appended
-    /// depends on it.
+    /// depends on it. Answers how many pages are left, because somebody still reads them in that file.
     /// # Errors
     /// The disk's. The log must then be opened and replayed anew before it is written: what was moved may be on the disk in parts.
-    pub fn checkpoint(&mut self) -> Result<(), LogError> {
+    pub fn checkpoint(&mut self) -> Result<u64, LogError> {
         self.database.checkpoint()
     }
 

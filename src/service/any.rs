@@ -3,6 +3,7 @@
 use std::ops::Deref;
 use std::sync::Arc;
 
+use super::gauges::Load;
 use super::inbox::End;
 use super::kind::SceneKind;
 use super::scene::{Scene, SceneOf};
@@ -40,6 +41,8 @@ pub trait SceneFacts: Send + Sync {
     fn is_starting(&self) -> bool;
     /// How far that has come, in parts per thousand.
     fn start_permille(&self) -> u32;
+    /// What waits in it now. Looks at its write-ahead file, no further I/O.
+    fn load(&self) -> Load;
 }
 
 /// A kind that a scene of any kind may be of.
@@ -119,6 +122,10 @@ impl<K: SceneKind> SceneFacts for SceneOf<K> {
 
     fn start_permille(&self) -> u32 {
         self.start_permille()
+    }
+
+    fn load(&self) -> Load {
+        self.load()
     }
 }
 

@@ -9,7 +9,7 @@ use parking_lot::{Condvar, Mutex};
 use tokio::sync::{Notify, futures::Notified, oneshot};
 
 use super::kind::SceneKind;
-use super::{Applied, Chain, Operations, ServiceConfig, ServiceError, Submission, meters};
+use super::{Applied, Chain, Operations, ServiceConfig, ServiceError, Submission};
 
 /// Where the answer to a change goes.
 #[derive(Debug)]
@@ -183,9 +183,14 @@ impl<K: SceneKind> Inbox<K> {
         state.operations = operations;
         state.changes.push_back(*pending);
         drop(state);
-        meters::queued(1);
         self.wake.notify_all();
         Ok(())
+    }
+
+    /// Changes that wait, and operations in them.
+    pub(super) fn waiting(&self) -> (usize, usize) {
+        let state = self.state.lock();
+        (state.changes.len(), state.operations)
     }
 
     /// Ready when a queue that is full now may have room, or is closed.
@@ -206,7 +211,6 @@ impl<K: SceneKind> Inbox<K> {
         let changes = std::mem::take(&mut state.changes);
         drop(state);
         self.room.notify_waiters();
-        meters::dequeued(changes.len());
         changes
     }
 
@@ -264,7 +268,6 @@ impl<K: SceneKind> Inbox<K> {
         }
         drop(state);
         self.room.notify_waiters();
-        meters::dequeued(group.len());
         Some(group)
     }
 

@@ -16,10 +16,12 @@ mod before;
 mod failpoint;
 mod feed;
 mod gate;
+mod gauges;
 mod inbox;
 mod judge;
 mod kind;
 mod lifecycle;
+mod machine;
 mod meters;
 mod next_id;
 mod offline;
@@ -45,8 +47,10 @@ use crate::geometry::{CUBES_MAX, CubeId};
 pub use crate::log::{Cubes, HistoryRow, Kind, Motion, Seq};
 pub use any::{AnyScene, SceneFacts, SolidScene};
 pub use failpoint::{FailHook, FailPoint};
+pub use gauges::{Gauges, Load, Spread, StateGauges};
 pub use kind::SceneKind;
-pub use meters::describe_metrics;
+pub use machine::{Disk, memory_limit_bytes};
+pub use meters::{Meter, describe_metrics};
 pub use offline::{AnyAudit, Offline, OfflineAudit};
 pub use registry::Service;
 pub use scene::{Scene, SceneOf};
@@ -206,6 +210,21 @@ pub enum SceneState {
         /// What, where, and what to do.
         cause: String,
     },
+}
+
+impl SceneState {
+    /// The names of all states, in the order of [`SceneState::index`].
+    pub const NAMES: [&str; 4] = ["running", "recovering", "stopped", "damaged"];
+
+    /// Which of [`SceneState::NAMES`] it is.
+    pub fn index(&self) -> usize {
+        match self {
+            Self::Running => 0,
+            Self::Recovering { .. } => 1,
+            Self::Stopped { .. } => 2,
+            Self::Damaged { .. } => 3,
+        }
+    }
 }
 
 /// Why the service did not do what it was asked. Nothing has changed then, with the one exception that [`Scene::change`] names.

@@ -19,6 +19,7 @@ use parking_lot::{Condvar, Mutex, RwLock};
 use super::any::{AnyScene, OneOfAny, SceneFacts, SolidScene};
 use super::failpoint::FailHook;
 use super::gate::Gate;
+use super::gauges::Gauges;
 use super::inbox::End;
 use super::kind::SceneKind;
 use super::lifecycle::{self, keep, revive};
@@ -263,6 +264,12 @@ impl Service {
         let mut scenes: Vec<_> = self.0.scenes.iter().map(|scene| scene.clone()).collect();
         scenes.sort_by(|a, b| a.name().cmp(b.name()));
         scenes
+    }
+
+    /// What there is now, of all scenes together. Looks at a file of each, so it may block for a moment.
+    pub fn gauges(&self) -> Gauges {
+        let data = &self.0.setup.config.data;
+        Gauges::new(&self.scenes(), &self.readiness(), data)
     }
 
     /// Refuses new changes, finishes those that wait, closes the logs.

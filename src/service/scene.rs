@@ -21,6 +21,7 @@ use tokio::sync::{Semaphore, watch};
 use super::failpoint::FailHook;
 use super::feed::Feed;
 use super::gate::Gate;
+use super::gauges::{Load, Pulse};
 use super::inbox::{End, Inbox, Pending, Shut};
 use super::kind::SceneKind;
 use super::set::View;
@@ -33,7 +34,7 @@ use crate::engine::solids::Body;
 use crate::engine::{Cursor, Side};
 use crate::geometry::convex::Point;
 use crate::geometry::{CubeId, Edge, Place, Stock};
-use crate::log::{Cubes, Header, HistoryReader, LogError};
+use crate::log::{Cubes, Header, HistoryReader, LogError, write_ahead_bytes};
 
 /// What all scenes of a service share.
 pub(super) struct Setup {
@@ -80,6 +81,8 @@ pub struct SceneOf<K: SceneKind> {
     started: AtomicBool,
     notices: Mutex<Vec<String>>,
     pub(super) inbox: Inbox<K>,
+    /// What its writer shows of the log.
+    pub(super) pulse: Pulse,
     /// For copies of all bodies: one at a time, for each takes as much memory as the bodies.
     copies: Semaphore,
     thread: Mutex<Option<JoinHandle<()>>>,
@@ -102,6 +105,21 @@ impl<K: SceneKind> SceneOf<K> {
     /// Its name.
     pub fn name(&self) -> &SceneName {
         &self.name
+    }
+
+    /// What waits in it now. Looks at its write-ahead file, no further I/O.
+    pub fn load(&self) -> Load {
+        let (changes, operations) = self.inbox.waiting();
+        let (unmoved_pages, checkpoint_due) = self.pulse.read();
+        let subscriptions = self.feed().map_or(0, |feed| feed.updates.receiver_count());
+        Load {
+            queue_changes: changes as u64,
+            queue_operations: operations as u64,
+            write_ahead_bytes: write_ahead_bytes(&self.directory),
+            unmoved_pages,
+            checkpoint_due,
+            subscriptions: subscriptions as u64,
+        }
     }
 
     /// Its settings, as given to `create`. Empty while its log has not been opened ([`super::Service::scene`] refuses it then).
@@ -319,6 +337,7 @@ impl<K: SceneKind> SceneOf<K> {
         let header = header.clone();
         let recounted = blocking(move || K::recount(&header, bodies)).await?;
         if !K::agree(&recounted, &kept) {
+            meters::audit_differed();
             tracing::error!(
                 scene = self.name.as_str(),
                 seq = seq.0,
@@ -482,6 +501,7 @@ impl<K: SceneKind> SceneOf<K> {
             started: AtomicBool::new(false),
             notices: Mutex::default(),
             inbox: Inbox::default(),
+            pulse: Pulse::default(),
             copies: Semaphore::new(1),
             thread: Mutex::default(),
         }

@@ -98,6 +98,7 @@ impl<K: SceneKind> Writer<K> {
     /// Lets callers in: readers are answered at once, changes as soon as the thread runs.
     pub(super) fn begin(&self, scene: &SceneOf<K>) {
         scene.set_permille(1000);
+        scene.pulse.begin(self.log.unmoved_pages());
         // The inbox first: who sees the scene running may change it at once. Nothing is taken from it before this returns.
         scene.inbox.open();
         scene.set_condition(Condition::Running(self.feed.clone()));
@@ -132,7 +133,10 @@ impl<K: SceneKind> Writer<K> {
         match self.make_durable(scene, submissions, &replies) {
             Ok(group) => {
                 if let Some(newest) = group.newest() {
-                    meters::committed(start.elapsed());
+                    let changes = group.records.len();
+                    meters::committed(changes, start.elapsed(), self.log.commit_time());
+                    let pages = self.log.unmoved_pages();
+                    scene.pulse.committed(pages, self.log.wants_checkpoint());
                     group.net.iter().for_each(meters::changed);
                     self.published = newest;
                     self.feed.publish(&newest);
@@ -422,9 +426,13 @@ impl<K: SceneKind> Writer<K> {
             log, feed, upkeep, ..
         } = self;
         if log.wants_checkpoint() {
-            return log
+            let start = Instant::now();
+            let left = log
                 .checkpoint()
-                .inspect_err(|_| meters::checkpoint_failed());
+                .inspect_err(|_| meters::checkpoint_failed())?;
+            meters::checkpointed(start.elapsed());
+            scene.pulse.checkpointed(left);
+            return Ok(());
         }
         if !upkeep.waits(log, &feed.set) {
             return Ok(());

@@ -21,6 +21,7 @@ pub mod grpc;
 pub mod http;
 mod kind;
 mod objects;
+mod open;
 pub mod problem;
 pub mod solids;
 mod vector;

@@ -10,6 +10,19 @@ const ACCEPTED: &str = "union3d_connections_accepted_total";
 const REFUSED: &str = "union3d_connections_refused_total";
 const CLOSED: &str = "union3d_connections_closed_total";
 
+/// Why a connection may be closed.
+const REASONS: [&str; 9] = [
+    "broken",
+    "handshake",
+    "protocol",
+    "head",
+    "idle",
+    "unread",
+    "silent",
+    "refused",
+    "flood",
+];
+
 /// Describes the metrics to the recorder that is installed. Call it once, after installing.
 pub fn describe() {
     describe_gauge!(THERE, "Connections of HTTP and gRPC that are there");
@@ -22,6 +35,15 @@ pub fn describe() {
         CLOSED,
         "Connections that the server closed before the client wanted it, by reason"
     );
+    // Shown from the start, also what has not happened yet.
+    gauge!(THERE).increment(0);
+    counter!(ACCEPTED).increment(0);
+    for limit in ["all", "address"] {
+        counter!(REFUSED, "limit" => limit).increment(0);
+    }
+    for reason in REASONS {
+        counter!(CLOSED, "reason" => reason).increment(0);
+    }
 }
 
 pub(super) fn opened() {

@@ -30,6 +30,7 @@ use crate::wire::atomic::{Atomic, Sent};
 use crate::wire::calls;
 use crate::wire::http::Limits;
 use crate::wire::kind;
+use crate::wire::open::OpenStream;
 use crate::wire::problem::{Code, Fault, Problem};
 use crate::wire::proto::{
     Acknowledged, OnRefusal, Opened, Refused, StreamChangesRequest, StreamChangesResponse,
@@ -146,7 +147,10 @@ impl Opening {
             over: false,
         };
         let window = usize::try_from(WINDOW_CHANGES_MAX).expect("a window is small");
+        let open = OpenStream::grpc();
         Ok(Box::pin(async_stream::stream! {
+            // Counted as long as there are answers to come.
+            let _open = open;
             yield Ok(answer(response::Message::Opened(Opened {
                 scene: Some(messages::scene(&K::any(scene.clone()))),
                 window_changes_max: WINDOW_CHANGES_MAX,

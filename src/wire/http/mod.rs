@@ -9,6 +9,7 @@ mod changes;
 mod contains;
 mod cubes;
 mod drain;
+mod exposition;
 mod history;
 mod ndjson;
 mod openapi;
@@ -39,7 +40,7 @@ use tower_http::sensitive_headers::SetSensitiveRequestHeadersLayer;
 use tower_http::trace::TraceLayer;
 use utoipa_swagger_ui::SwaggerUi;
 
-pub use self::operate::install_metrics;
+pub use self::exposition::{install_metrics, keep_metrics};
 use self::request::Room;
 use super::access::Access;
 use super::calls::{self, within};
@@ -87,9 +88,10 @@ type Route = (&'static str, MethodRouter<App>);
 fn bounded_routes() -> Vec<Route> {
     use contains::get_contains;
     use cubes::{get_cube, get_cubes};
+    use exposition::get_metrics;
     use history::get_history;
     use openapi::get_openapi;
-    use operate::{get_healthz, get_metrics, get_problem, get_problems, get_readyz};
+    use operate::{get_healthz, get_problem, get_problems, get_readyz};
     use reads::get_mass_properties;
     use scenes::{delete_scene, get_scene, get_scenes, put_scene};
     use solids::{get_solid, get_solids};

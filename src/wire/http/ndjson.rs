@@ -25,6 +25,7 @@ use crate::service::{
 use crate::wire::access::{Effect, Ticket};
 use crate::wire::atomic::ChangedKind;
 use crate::wire::decode;
+use crate::wire::open::OpenStream;
 use crate::wire::problem::{Code, Problem};
 
 /// Operations that are worth a chunk; a hull counts as its vertices do.
@@ -90,6 +91,7 @@ pub(super) async fn apply<K: StreamedKind>(
     idle_max: Duration,
     ticket: &Ticket,
 ) -> Result<Applied<K>, Problem> {
+    let _open = OpenStream::http();
     let mut body = body.into_data_stream();
     let mut lines = Lines::new(scene, settings);
     let mut waiting = Chunk::<K>::default();

@@ -17,7 +17,7 @@ use utoipa::openapi::{
 use utoipa::{Modify, OpenApi};
 
 use super::problem::ProblemDocument;
-use super::{changes, contains, cubes, history, operate, reads, scenes, solids};
+use super::{changes, contains, cubes, exposition, history, operate, reads, scenes, solids};
 use crate::wire::access::{Need, of_http};
 use crate::wire::problem::{Code, Kind};
 
@@ -34,7 +34,7 @@ use crate::wire::problem::{Code, Kind};
         reads::get_mass_properties, reads::stream_mass_properties, history::get_history, reads::post_audit,
         cubes::get_cube, cubes::get_cubes, contains::get_contains,
         solids::put_shape, solids::get_solid, solids::get_solids, solids::delete_solid,
-        operate::get_healthz, operate::get_readyz, operate::get_metrics, get_openapi,
+        operate::get_healthz, operate::get_readyz, exposition::get_metrics, get_openapi,
         operate::get_problems, operate::get_problem,
     ),
     components(schemas(ProblemDocument)),
