@@ -182,7 +182,7 @@ fn random_ops(random: &mut Random) -> Vec<Op> {
     ops
 }
 
-async fn check_state(scene: &Scene, model: &Model) {
+async fn check_state(scene: &Arc<Scene>, model: &Model) {
     let published = scene.published().unwrap();
     assert_eq!(published.seq, Seq(model.seq));
     assert_eq!(published.totals, model.totals());
@@ -1332,6 +1332,43 @@ async fn a_snapshot_is_of_one_state_while_changes_go_on() {
 }
 
 /// A change of a stream waits for room instead of being refused, and what was queued one after the other is judged in that order.
+/// A listing is of one seq whatever changes while it is read, and ends with the scene.
+#[tokio::test]
+async fn a_listing_is_of_one_seq_while_changes_go_on() {
+    let directory = tempfile::tempdir().unwrap();
+    let service = start(directory.path());
+    let scene = create(&service, "s").await;
+    let mut random = Random::new(5);
+    let places = (0..500).map(|_| random_place(&mut random)).collect();
+    scene.change(numbered(places, None)).await.unwrap();
+    let expected = scene.cubes().await.unwrap();
+    let mut reading = scene.read_all().await.unwrap();
+    assert_eq!(reading.seq(), expected.0);
+    let mut listed = Vec::new();
+    loop {
+        let cubes = reading.next(7).await.unwrap();
+        if cubes.is_empty() {
+            break;
+        }
+        assert!(cubes.len() <= 7);
+        listed.extend(cubes);
+        let ops = (0..30).map(|_| random.below(600)).collect::<BTreeSet<_>>();
+        let ops = ops.into_iter().flat_map(|id| {
+            let place = random_place(&mut random);
+            [Op::Delete(CubeId(id)), Op::Insert(CubeId(id), place)]
+        });
+        scene.change(named(ops.collect())).await.unwrap();
+    }
+    assert_eq!(listed, expected.1);
+    assert!(scene.published().unwrap().seq > expected.0);
+
+    let mut reading = scene.read_all().await.unwrap();
+    reading.next(7).await.unwrap();
+    service.remove(&name("s")).await.unwrap();
+    let refused = reading.next(7).await;
+    assert!(matches!(refused, Err(ServiceError::NoSuchScene(_))));
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_stream_waits_for_room_in_a_full_queue() {
     let directory = tempfile::tempdir().unwrap();

@@ -13,6 +13,7 @@
 
 mod any;
 mod before;
+mod copying;
 mod failpoint;
 mod feed;
 mod gate;
@@ -24,6 +25,7 @@ mod meters;
 mod next_id;
 mod offline;
 mod places;
+mod reading;
 mod registry;
 mod replay;
 mod revert;
@@ -48,6 +50,7 @@ pub use failpoint::{FailHook, FailPoint};
 pub use kind::SceneKind;
 pub use meters::describe_metrics;
 pub use offline::{AnyAudit, Offline, OfflineAudit};
+pub use reading::Reading;
 pub use registry::Service;
 pub use scene::{Scene, SceneOf};
 pub use solids::{NamedShape, SHAPES_MAX, Shapes, SolidTotals, Solids};
@@ -247,6 +250,14 @@ pub enum ServiceError {
     QueueFull {
         /// How many.
         waiting: usize,
+    },
+    /// A reading of all bodies took so long that too much has changed.
+    #[error(
+        "more than {changed} bodies have changed while the listing was read; list again, and read faster"
+    )]
+    ReadTooSlowly {
+        /// How many may change.
+        changed: usize,
     },
     /// The change does not fit the scene.
     #[error(transparent)]

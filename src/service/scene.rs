@@ -26,8 +26,8 @@ use super::kind::SceneKind;
 use super::set::View;
 use super::solids::Solids;
 use super::{
-    Applied, Audit, CHANGE_OPERATIONS_MAX, Chain, HistoryRow, Published, SceneName, SceneState,
-    Seq, ServiceConfig, ServiceError, Submission, meters,
+    Applied, CHANGE_OPERATIONS_MAX, Chain, HistoryRow, Published, SceneName, SceneState, Seq,
+    ServiceConfig, ServiceError, Submission, meters,
 };
 use crate::engine::solids::Body;
 use crate::engine::{Cursor, Side};
@@ -41,6 +41,9 @@ pub(super) struct Setup {
     pub(super) gate: Gate,
     pub(super) fail_hook: Option<FailHook>,
 }
+
+/// Clients that read all bodies of one scene at a time; others wait.
+const READINGS_MAX: usize = 32;
 
 /// How a scene is, with what its readers need.
 pub(super) enum Condition<K: SceneKind> {
@@ -80,8 +83,10 @@ pub struct SceneOf<K: SceneKind> {
     started: AtomicBool,
     notices: Mutex<Vec<String>>,
     pub(super) inbox: Inbox<K>,
-    /// For copies of all bodies: one at a time, for each takes as much memory as the bodies.
-    copies: Semaphore,
+    /// For audits: one at a time, for each takes as much memory as the bodies, and more.
+    pub(super) audits: Semaphore,
+    /// For readings of all bodies by clients.
+    pub(super) readings: Arc<Semaphore>,
     thread: Mutex<Option<JoinHandle<()>>>,
 }
 
@@ -295,41 +300,9 @@ impl<K: SceneKind> SceneOf<K> {
         self.read(move |view| view.page(after, limit)).await
     }
 
-    /// All bodies as of one seq, in the order of the listing. O(bodies), and changes wait meanwhile.
-    pub async fn bodies(&self) -> Result<(Seq, Vec<(CubeId, K::Body)>), ServiceError> {
-        self.copy(|view| (view.seq(), view.bodies().collect()))
-            .await
-    }
-
     /// What its bodies stand on, as far as it is durable.
     pub fn context(&self) -> Result<Arc<K::Context>, ServiceError> {
         Ok(self.feed()?.context.load_full())
-    }
-
-    /// Recounts everything from the bodies alone, on another thread, and compares.
-    pub async fn audit(&self) -> Result<Audit<K>, ServiceError> {
-        let (Published { seq, totals, .. }, bodies) = self
-            .copy(|view| {
-                let bodies: Vec<K::Body> = view.bodies().map(|(_, body)| body).collect();
-                (view.published(), bodies)
-            })
-            .await?;
-        let kept = totals;
-        let header = self.header.get().expect("a scene that runs has a header");
-        let header = header.clone();
-        let recounted = blocking(move || K::recount(&header, bodies)).await?;
-        if !K::agree(&recounted, &kept) {
-            tracing::error!(
-                scene = self.name.as_str(),
-                seq = seq.0,
-                "audit: totals differ from a recount"
-            );
-        }
-        Ok(Audit {
-            seq,
-            kept,
-            recounted,
-        })
     }
 
     /// Reads the durable bodies: at once, or on a thread that may block while the writer takes a step.
@@ -345,17 +318,6 @@ impl<K: SceneKind> SceneOf<K> {
         answer.ok_or_else(|| self.refusal())
     }
 
-    /// Copies bodies on a thread that may block. Who has gone before it was their turn is passed over.
-    async fn copy<T: Send + 'static>(
-        &self,
-        copy: impl FnOnce(&View<'_, K>) -> T + Send + 'static,
-    ) -> Result<T, ServiceError> {
-        let _turn = self.copies.acquire().await.expect("it is never closed");
-        let feed = self.feed()?;
-        let copied = blocking(move || feed.set.view().map(|view| copy(&view))).await?;
-        copied.ok_or_else(|| self.refusal())
-    }
-
     /// Reads the history on a thread that may block.
     async fn read_history<T: Send + 'static>(
         &self,
@@ -367,7 +329,7 @@ impl<K: SceneKind> SceneOf<K> {
             .map_err(ServiceError::from)
     }
 
-    fn feed(&self) -> Result<Arc<Feed<K>>, ServiceError> {
+    pub(super) fn feed(&self) -> Result<Arc<Feed<K>>, ServiceError> {
         match &**self.condition.load() {
             Condition::Running(feed) => Ok(feed.clone()),
             condition => Err(self.refusal_in(condition)),
@@ -435,11 +397,6 @@ impl Scene {
         self.body(id).await
     }
 
-    /// All cubes as of one seq, in the order of the listing. O(cubes), and changes wait meanwhile.
-    pub async fn cubes(&self) -> Result<(Seq, Vec<(CubeId, Place)>), ServiceError> {
-        self.bodies().await
-    }
-
     /// Where a point lies, and the cube of least id that holds it (closed cubes).
     pub async fn contains(
         &self,
@@ -482,7 +439,8 @@ impl<K: SceneKind> SceneOf<K> {
             started: AtomicBool::new(false),
             notices: Mutex::default(),
             inbox: Inbox::default(),
-            copies: Semaphore::new(1),
+            audits: Semaphore::new(1),
+            readings: Arc::new(Semaphore::new(READINGS_MAX)),
             thread: Mutex::default(),
         }
     }

@@ -135,13 +135,11 @@ impl<K: SceneKind> Writer<K> {
                     meters::committed(start.elapsed());
                     group.net.iter().for_each(meters::changed);
                     self.published = newest;
-                    self.feed.publish(&newest);
+                    let effects = group.records.iter().map(|record| &record.effect);
+                    self.feed.publish(&newest, effects);
                 }
                 for (reply, outcome) in replies.into_iter().zip(group.outcomes) {
                     reply.send(outcome);
-                }
-                for record in &group.records {
-                    self.upkeep.note(&record.effect);
                 }
                 Ok(())
             }
@@ -430,7 +428,7 @@ impl<K: SceneKind> Writer<K> {
             return Ok(());
         }
         let step_cubes = scene.setup.config.snapshot_step_cubes;
-        match upkeep.step(log, &feed.set, &self.published, self.next_id, step_cubes) {
+        match upkeep.step(log, feed, &self.published, self.next_id, step_cubes) {
             // Changes may still fit where a snapshot does not; they will tell when they do not.
             Err(error @ LogError::Full { .. }) => {
                 tracing::warn!(

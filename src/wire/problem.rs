@@ -89,6 +89,8 @@ kinds! {
         "There is another shape of this name, and a shape never changes; or the scene has as many shapes as it may, 1,024. Take another name, or a shape that is there.";
     IdsExhausted "ids-exhausted" 409 None, "The server has no ids left to give",
         "Give the ids yourself.";
+    ReadTooSlowly "read-too-slowly" 409 None, "The listing was read too slowly",
+        "So much has changed since the listing began that it cannot be finished as of one seq, and it broke off. List again and read faster, or read a page at a time.";
     SeqNotKept "seq-not-kept" 410 None, "This seq is no longer kept",
         "`oldest` is the oldest whose totals are kept.";
     NotReachable "seq-not-reachable" 410 None, "This seq can no longer be gone back to",
@@ -415,6 +417,7 @@ impl From<ServiceError> for Problem {
             ServiceError::IdsExhausted { .. } => problem(Code::IdsExhausted),
             ServiceError::TooManyOperations { .. } => problem(Code::TooLarge),
             ServiceError::KeyReused => problem(Code::KeyReused),
+            ServiceError::ReadTooSlowly { .. } => problem(Code::ReadTooSlowly),
             ServiceError::SeqNotKept { oldest, .. } => {
                 problem(Code::SeqNotKept).with("oldest", oldest.0)
             }

@@ -33,6 +33,7 @@ const fn grpc_code(code: Code) -> GrpcCode {
         Code::NoSuchScene | Code::NoSuchCube => GrpcCode::NotFound,
         Code::SceneExists | Code::IdConflict | Code::ShapeExists => GrpcCode::AlreadyExists,
         Code::KeyReused | Code::OtherKind => GrpcCode::FailedPrecondition,
+        Code::ReadTooSlowly => GrpcCode::Aborted,
         Code::SeqNotReached | Code::SeqNotKept | Code::NotReachable => GrpcCode::OutOfRange,
         Code::RequestTimeout | Code::WaitTimeout | Code::AnswerTimeout => {
             GrpcCode::DeadlineExceeded
