@@ -9,9 +9,7 @@ use std::collections::BTreeMap;
 use std::num::NonZero;
 
 use random::Random;
-use union3d::engine::{
-    Cursor, Engine, Inconsistent, Op, Rejected, Side, recount, recount_while,
-};
+use union3d::engine::{Cursor, Engine, Inconsistent, Op, Rejected, Side, recount, recount_while};
 use union3d::geometry::{CUBES_MAX, CubeId, Edge, EdgeKind, Effect, Place, Stock, Totals};
 
 /// An engine, and the plain map it must agree with.

@@ -1,6 +1,7 @@
 //! The subcommands: each a file with its arguments and a `run`.
 
 mod audit;
+mod backup;
 mod client;
 mod cutter;
 mod demo;
@@ -11,6 +12,7 @@ mod path;
 mod program;
 mod progress;
 mod report;
+mod restore;
 mod serve;
 mod solids;
 
@@ -38,6 +40,8 @@ enum Command {
     Path(path::Args),
     Measure(measure::Args),
     Audit(audit::Args),
+    Backup(backup::Args),
+    Restore(restore::Args),
 }
 
 /// Reads the arguments, runs the subcommand and reports its error, if any, as one line on standard error.
@@ -49,6 +53,8 @@ pub(crate) fn main() -> ExitCode {
         Command::Path(args) => path::run(args),
         Command::Measure(args) => measure::run(args),
         Command::Audit(args) => audit::run(args),
+        Command::Backup(args) => backup::run(args),
+        Command::Restore(args) => restore::run(args),
     };
     outcome.unwrap_or_else(|error| {
         eprintln!("union3d: {error}");

@@ -12,6 +12,7 @@
 //! ```
 
 mod any;
+mod backup;
 mod before;
 mod copying;
 mod failpoint;
@@ -46,6 +47,7 @@ use crate::engine::{Counts, Op, Rejected};
 use crate::geometry::{CUBES_MAX, CubeId};
 pub use crate::log::{Cubes, HistoryRow, Kind, Motion, Seq};
 pub use any::{AnyScene, SceneFacts, SolidScene};
+pub use backup::Copied;
 pub use failpoint::{FailHook, FailPoint};
 pub use kind::SceneKind;
 pub use meters::describe_metrics;

@@ -107,7 +107,7 @@ impl<K: SceneKind> Reading<K> {
 }
 
 /// Sets a flag when it goes: nobody waits any more.
-struct Cancelling(Arc<AtomicBool>);
+pub(super) struct Cancelling(pub(super) Arc<AtomicBool>);
 
 impl Drop for Cancelling {
     fn drop(&mut self) {

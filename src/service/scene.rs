@@ -85,6 +85,8 @@ pub struct SceneOf<K: SceneKind> {
     pub(super) inbox: Inbox<K>,
     /// For audits: one at a time, for each takes as much memory as the bodies, and more.
     pub(super) audits: Semaphore,
+    /// For copies of the log.
+    pub(super) copies: Semaphore,
     /// For readings of all bodies by clients.
     pub(super) readings: Arc<Semaphore>,
     thread: Mutex<Option<JoinHandle<()>>>,
@@ -440,6 +442,7 @@ impl<K: SceneKind> SceneOf<K> {
             notices: Mutex::default(),
             inbox: Inbox::default(),
             audits: Semaphore::new(1),
+            copies: Semaphore::new(1),
             readings: Arc::new(Semaphore::new(READINGS_MAX)),
             thread: Mutex::default(),
         }

@@ -4,6 +4,7 @@
 //!   request ── id, trace, measure ── compress ── problems only ── panics ── drain ── bounded time ── handler
 //! ```
 
+mod backup;
 mod changes;
 mod contains;
 mod cubes;
@@ -128,6 +129,7 @@ fn unbounded_routes() -> Vec<Route> {
             get(reads::stream_mass_properties),
         ),
         ("/v1/scenes/{scene}/audit", post(reads::post_audit)),
+        ("/v1/scenes/{scene}/backup", get(backup::get_backup)),
     ]
 }
 

@@ -16,7 +16,7 @@ use utoipa::openapi::{
 use utoipa::{Modify, OpenApi};
 
 use super::problem::ProblemDocument;
-use super::{changes, contains, cubes, history, operate, reads, scenes, solids};
+use super::{backup, changes, contains, cubes, history, operate, reads, scenes, solids};
 use crate::wire::problem::{Code, Kind};
 
 #[derive(OpenApi)]
@@ -30,6 +30,7 @@ use crate::wire::problem::{Code, Kind};
         scenes::put_scene, scenes::get_scenes, scenes::get_scene, scenes::delete_scene,
         changes::post_changes, changes::post_revert, changes::delete_cube,
         reads::get_mass_properties, reads::stream_mass_properties, history::get_history, reads::post_audit,
+        backup::get_backup,
         cubes::get_cube, cubes::get_cubes, contains::get_contains,
         solids::put_shape, solids::get_solid, solids::get_solids, solids::delete_solid,
         operate::get_healthz, operate::get_readyz, operate::get_metrics, get_openapi,
@@ -247,6 +248,7 @@ fn failures(operation: &str) -> &'static [Code] {
         "get_history" => &[SeqNotKept],
         "get_cube" | "get_solid" => &[NoSuchCube],
         "post_audit" => &[AuditDifference],
+        "get_backup" => &[StorageFailed, DiskFull],
         "get_readyz" => &[Recovering],
         "get_problem" => &[NoSuchPath],
         _ => &[],
