@@ -196,9 +196,9 @@ fn complete_parameter(parameter: &mut Map<String, Value>) {
 fn failures(operation: &str) -> &'static [Code] {
     use Code::{
         AuditDifference, BadJson, BadProtobuf, DiskFull, IdConflict, IdsExhausted, KeyReused,
-        NoSuchCube, NoSuchPath, NotReachable, OtherKind, QueueFull, Recovering, RequestTimeout,
-        SceneExists, SceneFull, SeqNotKept, SeqNotReached, ShapeExists, ShuttingDown,
-        StorageFailed, TooLarge, UnsupportedMediaType, WaitTimeout,
+        NoSuchCube, NoSuchPath, NotReachable, OtherKind, QueueFull, ReadTooSlowly, Recovering,
+        RequestTimeout, SceneExists, SceneFull, SeqNotKept, SeqNotReached, ShapeExists,
+        ShuttingDown, StorageFailed, TooLarge, UnsupportedMediaType, WaitTimeout,
     };
     match operation {
         "put_scene" => &[
@@ -248,6 +248,7 @@ fn failures(operation: &str) -> &'static [Code] {
         "get_history" => &[SeqNotKept],
         "get_cube" | "get_solid" => &[NoSuchCube],
         "post_audit" => &[AuditDifference],
+        "get_cubes" | "get_solids" => &[ReadTooSlowly],
         "get_backup" => &[StorageFailed, DiskFull],
         "get_readyz" => &[Recovering],
         "get_problem" => &[NoSuchPath],
