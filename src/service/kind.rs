@@ -22,6 +22,9 @@ pub trait SceneKind: Kind {
     /// Bodies of a few changes by where they are.
     type Near: Default + Send + Sync + 'static;
 
+    /// What a recount takes of memory for each body, in bytes.
+    const RECOUNT_BYTES: u64;
+
     /// Bodies that a replay takes together at most, when it need not compare after every change.
     const REPLAYED_TOGETHER_MAX: usize;
 
@@ -103,6 +106,9 @@ impl SceneKind for Cubes {
     type Engine = Engine;
     type Table = IdTable;
     type Near = Places;
+
+    /// Its place twice, on its way, and some 80 in an engine.
+    const RECOUNT_BYTES: u64 = 128;
 
     const REPLAYED_TOGETHER_MAX: usize = 1 << 22;
 

@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use parking_lot::Mutex;
 use tokio::sync::OwnedSemaphorePermit;
 
+use super::budget::Client;
 use super::copying::{Copying, GivenUp};
 use super::feed::Feed;
 use super::kind::SceneKind;
@@ -131,10 +132,17 @@ impl<K: SceneKind> SceneOf<K> {
 
     /// Recounts everything from the bodies alone, on another thread, and compares. One audit of a scene at a time: others wait. When the
     /// future is dropped the recount ends soon.
+    /// # Errors
+    /// [`ServiceError::MemoryUsed`] when there is not as much memory for it as it may take.
     pub async fn audit(self: &Arc<Self>) -> Result<Audit<K>, ServiceError> {
         let _turn = self.audits.acquire().await.expect("it is never closed");
         let reading = Reading::new(self, usize::MAX, None)?;
         let Published { seq, totals, .. } = reading.published;
+        let mut share = self.setup.budget.share(Client::Audits);
+        let wanted = K::count(&totals).saturating_mul(K::RECOUNT_BYTES);
+        if !share.take(wanted) {
+            return Err(ServiceError::MemoryUsed { wanted });
+        }
         let bodies = reading.rest().await?;
         let bodies = bodies.into_iter().map(|(_, body)| body).collect();
         let header = self.header().expect("a scene that runs has a header");

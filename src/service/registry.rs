@@ -16,6 +16,7 @@ use dashmap::DashMap;
 use parking_lot::{Condvar, Mutex, RwLock};
 
 use super::any::{AnyScene, OneOfAny, SceneFacts, SolidScene};
+use super::budget::Budget;
 use super::failpoint::FailHook;
 use super::gate::Gate;
 use super::inbox::End;
@@ -99,6 +100,7 @@ impl Service {
         remove_leftovers(&scenes).map_err(|error| failed("clean", &error))?;
         let setup = Arc::new(Setup {
             gate: Gate::new(config.replays_max),
+            budget: Budget::new(config.memory_bytes_max),
             config,
             fail_hook,
         });
@@ -134,6 +136,11 @@ impl Service {
             })?;
         }
         Ok(Self(Arc::new(registry)))
+    }
+
+    /// The memory that requests share.
+    pub fn budget(&self) -> &Budget {
+        &self.0.setup.budget
     }
 
     /// Whether the replay that began at start is done.
@@ -290,6 +297,14 @@ impl Registry {
                     settings: scene.settings().to_owned(),
                 })
             };
+        }
+        self.setup.check_disk()?;
+        // With those that are being made; one that is being dropped counts twice until it is gone.
+        let scenes = self.scenes.len() + self.busy.names.lock().len();
+        if scenes > self.setup.config.scenes_max {
+            return Err(ServiceError::TooManyScenes {
+                scenes: self.scenes.len(),
+            });
         }
         let scene = Arc::new(SceneOf::<K>::new(
             name.clone(),

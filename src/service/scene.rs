@@ -18,6 +18,7 @@ use arc_swap::ArcSwap;
 use parking_lot::Mutex;
 use tokio::sync::{Semaphore, watch};
 
+use super::budget::Budget;
 use super::failpoint::FailHook;
 use super::feed::Feed;
 use super::gate::Gate;
@@ -39,11 +40,35 @@ use crate::log::{Cubes, Header, HistoryReader, LogError};
 pub(super) struct Setup {
     pub(super) config: ServiceConfig,
     pub(super) gate: Gate,
+    pub(super) budget: Budget,
     pub(super) fail_hook: Option<FailHook>,
 }
 
 /// Clients that read all bodies of one scene at a time; others wait.
 const READINGS_MAX: usize = 32;
+
+impl Setup {
+    /// Whether so little space is free where the data is that nothing more is taken in. (When it cannot be told, it is tried.)
+    pub(super) fn check_disk(&self) -> Result<(), ServiceError> {
+        let least = self.config.disk_free_bytes_min;
+        if least == 0 {
+            return Ok(());
+        }
+        let Ok(disk) = rustix::fs::statvfs(&self.config.data) else {
+            return Ok(());
+        };
+        let free = disk.f_bavail.saturating_mul(disk.f_frsize);
+        if free >= least {
+            return Ok(());
+        }
+        Err(ServiceError::Storage {
+            cause: format!(
+                "{free} bytes are free where the data is, fewer than disk_free_bytes_min = {least}"
+            ),
+            full: true,
+        })
+    }
+}
 
 /// How a scene is, with what its readers need.
 pub(super) enum Condition<K: SceneKind> {

@@ -208,7 +208,10 @@ impl<K: SceneKind> Writer<K> {
             key,
         } = submission;
         if let Operations::Define(definition) = operations {
-            return self.define(&definition).map(Some);
+            return match scene.setup.check_disk() {
+                Ok(()) => self.define(&definition).map(Some),
+                Err(refusal) => Ok(Some(Err(refusal))),
+            };
         }
         if let Operations::DryRun(operations) = operations {
             return self.dry_run(scene, *operations, counting).map(Some);
@@ -221,6 +224,9 @@ impl<K: SceneKind> Writer<K> {
             } else {
                 Err(ServiceError::KeyReused)
             }));
+        }
+        if let Err(refusal) = scene.setup.check_disk() {
+            return Ok(Some(Err(refusal)));
         }
         let newest = group.newest().unwrap_or(self.published).seq;
         let accepted = match self.accept(scene, newest, operations, counting)? {

@@ -19,6 +19,7 @@ pub mod http;
 mod kind;
 mod objects;
 pub mod problem;
+mod room;
 pub mod solids;
 mod vector;
 

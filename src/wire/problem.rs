@@ -106,7 +106,11 @@ kinds! {
     KeyReused "idempotency-key-reused" 422 None, "The idempotency key came before with another body",
         "A key stands for one body. Use a new key for a new change.";
     QueueFull "queue-full" 429 Some(1), "Too many changes are waiting",
-        "So many changes wait for the scene, or so many large bodies for the server, that this one was not taken. Nothing of it was applied. Send it again after the time in Retry-After.";
+        "So many changes wait for the scene that this one was not taken. Nothing of it was applied. Send it again after the time in Retry-After.";
+    MemoryUsed "memory-used" 429 Some(1), "The memory for requests is used up",
+        "Requests share a part of the server's memory (memory_bytes_max), and a client's share of it is as much as is free. Nothing was applied. Send it again after the time in Retry-After, or smaller.";
+    TooManyScenes "too-many-scenes" 507 None, "There are as many scenes as may be",
+        "The setting scenes_max says how many. Drop one that is not needed.";
     Internal "internal" 500 None, "The server failed",
         "A fault of the server, which its log describes. Whether a change was applied is shown by its seq; sending it again is safe when it names its ids or has an Idempotency-Key.";
     AuditDifference "audit-difference" 500 None, "The totals differ from a recount",
@@ -417,6 +421,8 @@ impl From<ServiceError> for Problem {
             ServiceError::IdsExhausted { .. } => problem(Code::IdsExhausted),
             ServiceError::TooManyOperations { .. } => problem(Code::TooLarge),
             ServiceError::KeyReused => problem(Code::KeyReused),
+            ServiceError::MemoryUsed { .. } => problem(Code::MemoryUsed),
+            ServiceError::TooManyScenes { .. } => problem(Code::TooManyScenes),
             ServiceError::ReadTooSlowly { .. } => problem(Code::ReadTooSlowly),
             ServiceError::SeqNotKept { oldest, .. } => {
                 problem(Code::SeqNotKept).with("oldest", oldest.0)

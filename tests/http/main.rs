@@ -5,6 +5,7 @@ mod described;
 mod description;
 mod golden;
 mod ids;
+mod memory;
 #[path = "../oracle/random.rs"]
 mod random;
 mod reads;

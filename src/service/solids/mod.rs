@@ -118,6 +118,9 @@ impl SceneKind for Solids {
     type Table = BTreeMap<Cursor, (CubeId, Body)>;
     type Near = ();
 
+    /// Some 1,000 in an engine, and as many for what is prepared of it.
+    const RECOUNT_BYTES: u64 = 2048;
+
     const REPLAYED_TOGETHER_MAX: usize = 1 << 14;
 
     fn engine(header: &Header<Self>) -> Result<Engine, String> {

@@ -38,9 +38,12 @@ const fn grpc_code(code: Code) -> GrpcCode {
         Code::RequestTimeout | Code::WaitTimeout | Code::AnswerTimeout => {
             GrpcCode::DeadlineExceeded
         }
-        Code::TooLarge | Code::SceneFull | Code::IdsExhausted | Code::QueueFull => {
-            GrpcCode::ResourceExhausted
-        }
+        Code::TooLarge
+        | Code::SceneFull
+        | Code::IdsExhausted
+        | Code::QueueFull
+        | Code::MemoryUsed
+        | Code::TooManyScenes => GrpcCode::ResourceExhausted,
         Code::Internal => GrpcCode::Internal,
         Code::AuditDifference | Code::SceneDamaged => GrpcCode::DataLoss,
         Code::Recovering

@@ -37,7 +37,6 @@ use tower_http::trace::TraceLayer;
 use utoipa_swagger_ui::SwaggerUi;
 
 pub use self::operate::install_metrics;
-use self::request::Room;
 use super::calls::{self, within};
 use super::problem::{Code, Problem};
 use crate::service::Service;
@@ -71,7 +70,6 @@ impl Default for Limits {
 struct App {
     service: Service,
     limits: Limits,
-    room: Room,
     metrics: PrometheusHandle,
 }
 
@@ -144,7 +142,6 @@ pub fn router(service: Service, limits: Limits) -> Router {
     let app = App {
         service,
         limits,
-        room: Room::new(&limits),
         metrics: install_metrics(),
     };
     let add = |router: Router<App>, (path, methods): Route| router.route(path, methods);

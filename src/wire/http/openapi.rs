@@ -196,9 +196,9 @@ fn complete_parameter(parameter: &mut Map<String, Value>) {
 fn failures(operation: &str) -> &'static [Code] {
     use Code::{
         AuditDifference, BadJson, BadProtobuf, DiskFull, IdConflict, IdsExhausted, KeyReused,
-        NoSuchCube, NoSuchPath, NotReachable, OtherKind, QueueFull, ReadTooSlowly, Recovering,
-        RequestTimeout, SceneExists, SceneFull, SeqNotKept, SeqNotReached, ShapeExists,
-        ShuttingDown, StorageFailed, TooLarge, UnsupportedMediaType, WaitTimeout,
+        MemoryUsed, NoSuchCube, NoSuchPath, NotReachable, OtherKind, QueueFull, ReadTooSlowly,
+        Recovering, RequestTimeout, SceneExists, SceneFull, SeqNotKept, SeqNotReached, ShapeExists,
+        ShuttingDown, StorageFailed, TooLarge, TooManyScenes, UnsupportedMediaType, WaitTimeout,
     };
     match operation {
         "put_scene" => &[
@@ -210,6 +210,8 @@ fn failures(operation: &str) -> &'static [Code] {
             UnsupportedMediaType,
             StorageFailed,
             DiskFull,
+            TooManyScenes,
+            MemoryUsed,
             ShuttingDown,
             Recovering,
         ],
@@ -224,6 +226,7 @@ fn failures(operation: &str) -> &'static [Code] {
             SceneFull,
             KeyReused,
             QueueFull,
+            MemoryUsed,
         ],
         "post_revert" => &[
             BadJson,
@@ -234,6 +237,7 @@ fn failures(operation: &str) -> &'static [Code] {
             UnsupportedMediaType,
             KeyReused,
             QueueFull,
+            MemoryUsed,
         ],
         "delete_cube" | "delete_solid" => &[QueueFull],
         "put_shape" => &[
@@ -243,11 +247,12 @@ fn failures(operation: &str) -> &'static [Code] {
             TooLarge,
             UnsupportedMediaType,
             QueueFull,
+            MemoryUsed,
         ],
         "get_mass_properties" => &[SeqNotKept, SeqNotReached, WaitTimeout],
         "get_history" => &[SeqNotKept],
         "get_cube" | "get_solid" => &[NoSuchCube],
-        "post_audit" => &[AuditDifference],
+        "post_audit" => &[AuditDifference, MemoryUsed],
         "get_cubes" | "get_solids" => &[ReadTooSlowly],
         "get_backup" => &[StorageFailed, DiskFull],
         "get_readyz" => &[Recovering],

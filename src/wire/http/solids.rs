@@ -11,8 +11,8 @@ use utoipa::ToSchema;
 use super::changes::{self, ChangeAnswer};
 use super::cubes::{CURSOR_MARK, cursor, listing, listing_headers};
 use super::request::{
-    self, ABOUT_ID, ABOUT_IDS, BodyType, Parameters, Path, Return, VARY, body_type, preferred,
-    whole,
+    self, ABOUT_ID, ABOUT_IDS, BodyType, Parameters, Path, Return, Room, VARY, body_type,
+    preferred, whole,
 };
 use super::{App, scenes};
 use crate::engine::Cursor;
@@ -49,12 +49,13 @@ pub(super) async fn put_shape(
     Path((name, shape)): Path<(String, String)>,
     parameters: Parameters,
     headers: HeaderMap,
+    room: Room,
     body: Body,
 ) -> Result<Json<DefinedShape>, Problem> {
     parameters.only(&[])?;
     let (scene, settings) = scenes::open_solids(&app, &name)?;
     body_type(&headers, &[BodyType::Json])?;
-    let body = request::read(&headers, body, &app.limits, &app.room).await?;
+    let body = request::read(&headers, body, &app.limits, room).await?;
     let shape = decode::shape(&body.bytes, &shape, settings.scale())?;
     Ok(Json(calls::define(&scene, shape).await?))
 }
