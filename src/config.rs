@@ -13,7 +13,7 @@ use std::time::Duration;
 use config::{Config, ConfigError, Environment, File, FileFormat, Map};
 use serde::{Deserialize, Serialize};
 
-use crate::service::{CHANGE_OPERATIONS_MAX, ServiceConfig};
+use crate::service::{CHANGE_OPERATIONS_MAX, ServiceConfig, memory_limit_bytes};
 use crate::wire::access::{HostName, Origin};
 use crate::wire::door::{self, CertificateFiles};
 
@@ -163,6 +163,12 @@ pub struct ServeConfig {
     pub body_bytes_max: NonZeroUsize,
     /// Cubes of one change; more are answered 413.
     pub change_cubes_max: NonZeroUsize,
+    /// Bytes of memory that requests and audits share, fairly; what finds none is answered 429. Not what the scenes take.
+    pub memory_bytes_max: NonZeroU64,
+    /// Most scenes; more are answered 507.
+    pub scenes_max: NonZeroUsize,
+    /// Free bytes where the data is below which changes are answered 507; everything can still be read.
+    pub disk_free_bytes_min: u64,
     /// Newest changes whose totals are kept, per scene.
     pub history_changes_max: NonZeroU64,
     /// Newest idempotency keys kept, per scene.
@@ -246,7 +252,7 @@ pub struct ServeFlags {
     #[arg(long, value_name = "NAME")]
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub allowed_host: Vec<HostName>,
-    /// Let pages of this origin ask, such as http://localhost:3000; may be given several times
+    /// Let pages of this origin ask, such as <http://localhost:3000>; may be given several times
     #[arg(long, value_name = "ORIGIN")]
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub allow_origin: Vec<Origin>,
@@ -270,6 +276,19 @@ pub struct ServeFlags {
     #[arg(long, value_name = "COUNT")]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub change_cubes_max: Option<NonZeroUsize>,
+    /// Bytes of memory that requests and audits share, fairly; not what the scenes take [default: a quarter of the machine's or the
+    /// container's]
+    #[arg(long, value_name = "BYTES")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub memory_bytes_max: Option<NonZeroU64>,
+    /// Most scenes [default: 10000]
+    #[arg(long, value_name = "COUNT")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub scenes_max: Option<NonZeroUsize>,
+    /// Free bytes where the data is below which changes are refused [default: 268435456]
+    #[arg(long, value_name = "BYTES")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub disk_free_bytes_min: Option<u64>,
     /// Newest changes whose totals are kept, per scene [default: 10000000]
     #[arg(long, value_name = "COUNT")]
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -394,6 +413,12 @@ impl Default for ServeConfig {
             group_operations_max: count(65_536),
             body_bytes_max: count(64 << 20),
             change_cubes_max: count(1_000_000),
+            memory_bytes_max: NonZeroU64::new(
+                memory_limit_bytes().unwrap_or(UNKNOWN_MEMORY_BYTES) / 4,
+            )
+            .unwrap_or(NonZeroU64::MIN),
+            scenes_max: count(10_000),
+            disk_free_bytes_min: 256 << 20,
             history_changes_max: whole(10_000_000),
             idempotency_keys_max: whole(100_000),
             revert_changes_max: 1_000_000,
@@ -406,6 +431,9 @@ impl Default for ServeConfig {
         }
     }
 }
+
+/// What is taken for the memory of a machine that does not tell.
+const UNKNOWN_MEMORY_BYTES: u64 = 4 << 30;
 
 impl ServeConfig {
     /// Reads the settings of this process.
@@ -514,6 +542,9 @@ impl ServeConfig {
             idempotency_keys_max: self.idempotency_keys_max.get(),
             revert_changes_max: self.revert_changes_max,
             revert_bytes_max: self.revert_bytes_max,
+            memory_bytes_max: self.memory_bytes_max.get(),
+            scenes_max: self.scenes_max.get(),
+            disk_free_bytes_min: self.disk_free_bytes_min,
             probe_interval: Duration::from_secs(self.probe_interval_seconds.get()),
             ..ServiceConfig::new(&self.data)
         }

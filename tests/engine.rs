@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use std::num::NonZero;
 
 use random::Random;
-use union3d::engine::{Cursor, Engine, Inconsistent, Op, Rejected, Side, recount};
+use union3d::engine::{Cursor, Engine, Inconsistent, Op, Rejected, Side, recount, recount_while};
 use union3d::geometry::{CUBES_MAX, CubeId, Edge, EdgeKind, Effect, Place, Stock, Totals};
 
 /// An engine, and the plain map it must agree with.
@@ -137,6 +137,24 @@ fn dense_histories_agree_with_voxels() {
             compared.check(|| format!("seed {seed}, change {change}, {op:?}"));
         }
     }
+}
+
+/// A recount that nobody waits for ends at the next question.
+#[test]
+fn a_recount_ends_when_it_is_to() {
+    let edge = Edge::new(3).unwrap();
+    let places = || (0..500_000).map(move |x| Place::new([x, 0, 0], edge).unwrap());
+    for questions in [0, 1] {
+        let asked = std::cell::Cell::new(0);
+        let goes_on = || {
+            asked.set(asked.get() + 1);
+            asked.get() <= questions
+        };
+        assert_eq!(recount_while(edge, None, places(), &goes_on), None);
+        assert_eq!(asked.get(), questions + 1);
+    }
+    let whole = recount_while(edge, None, places(), &|| true);
+    assert_eq!(whole.unwrap().measures.volume, 9 * 500_002);
 }
 
 /// Enough neighbours for the division of points, thin slabs included: larger cubes, compared with a recount in another

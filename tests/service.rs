@@ -182,7 +182,7 @@ fn random_ops(random: &mut Random) -> Vec<Op> {
     ops
 }
 
-async fn check_state(scene: &Scene, model: &Model) {
+async fn check_state(scene: &Arc<Scene>, model: &Model) {
     let published = scene.published().unwrap();
     assert_eq!(published.seq, Seq(model.seq));
     assert_eq!(published.totals, model.totals());
@@ -1333,6 +1333,116 @@ async fn a_snapshot_is_of_one_state_while_changes_go_on() {
 }
 
 /// A change of a stream waits for room instead of being refused, and what was queued one after the other is judged in that order.
+/// Where too little space is free nothing more is taken in; all that is there can be read, and a retry is answered.
+#[tokio::test]
+async fn a_disk_that_is_nearly_full_takes_no_changes() {
+    let directory = tempfile::tempdir().unwrap();
+    let service = start(directory.path());
+    let scene = create(&service, "s").await;
+    let first = numbered(vec![place(0, 0, 0)], Some(("k", 1)));
+    let before = scene.change(first.clone()).await.unwrap().published;
+    drop((scene, service));
+    let mut config = config(directory.path());
+    config.disk_free_bytes_min = u64::MAX;
+    let service = Service::start(config).unwrap();
+    let scene = running(&service, "s");
+    let full = |error: &ServiceError| matches!(error, ServiceError::Storage { full: true, .. });
+    let refused = scene.change(insert(7, 9)).await.unwrap_err();
+    assert!(full(&refused), "{refused}");
+    let refused = service.create(&name("t"), edge(), None, "{}").await;
+    assert!(full(&refused.unwrap_err()));
+    assert!(scene.change(first).await.unwrap().replayed);
+    let dry = Submission {
+        operations: Operations::DryRun(Box::new(insert(7, 9).operations)),
+        ..insert(7, 9)
+    };
+    assert_eq!(scene.change(dry).await.unwrap().counts.inserted, 1);
+    assert_eq!(scene.published().unwrap(), before);
+    assert_eq!(scene.cubes().await.unwrap().1.len(), 1);
+}
+
+#[tokio::test]
+async fn there_are_no_more_scenes_than_may_be() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut config = config(directory.path());
+    config.scenes_max = 2;
+    let service = Service::start(config).unwrap();
+    for text in ["a", "b", "b"] {
+        service
+            .create(&name(text), edge(), None, "{}")
+            .await
+            .unwrap();
+    }
+    let refused = service.create(&name("c"), edge(), None, "{}").await;
+    assert!(matches!(
+        refused,
+        Err(ServiceError::TooManyScenes { scenes: 2 })
+    ));
+    service.remove(&name("a")).await.unwrap();
+    create(&service, "c").await;
+}
+
+/// An audit takes its memory of what is shared, and gives it back.
+#[tokio::test]
+async fn an_audit_that_finds_no_memory_is_refused() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut config = config(directory.path());
+    config.memory_bytes_max = 1000;
+    let service = Service::start(config).unwrap();
+    let scene = create(&service, "s").await;
+    for id in 0..3 {
+        scene.change(insert(id, 9)).await.unwrap();
+    }
+    for _ in 0..3 {
+        let audit = scene.audit().await.unwrap();
+        assert_eq!(audit.kept, audit.recounted);
+    }
+    scene.change(insert(3, 9)).await.unwrap();
+    let refused = scene.audit().await;
+    assert!(matches!(
+        refused,
+        Err(ServiceError::MemoryUsed { wanted: 512 })
+    ));
+    assert_eq!(service.budget().held(), 0);
+}
+
+/// A listing is of one seq whatever changes while it is read, and ends with the scene.
+#[tokio::test]
+async fn a_listing_is_of_one_seq_while_changes_go_on() {
+    let directory = tempfile::tempdir().unwrap();
+    let service = start(directory.path());
+    let scene = create(&service, "s").await;
+    let mut random = Random::new(5);
+    let places = (0..500).map(|_| random_place(&mut random)).collect();
+    scene.change(numbered(places, None)).await.unwrap();
+    let expected = scene.cubes().await.unwrap();
+    let mut reading = scene.read_all().await.unwrap();
+    assert_eq!(reading.seq(), expected.0);
+    let mut listed = Vec::new();
+    loop {
+        let cubes = reading.next(7).await.unwrap();
+        if cubes.is_empty() {
+            break;
+        }
+        assert!(cubes.len() <= 7);
+        listed.extend(cubes);
+        let ops = (0..30).map(|_| random.below(600)).collect::<BTreeSet<_>>();
+        let ops = ops.into_iter().flat_map(|id| {
+            let place = random_place(&mut random);
+            [Op::Delete(CubeId(id)), Op::Insert(CubeId(id), place)]
+        });
+        scene.change(named(ops.collect())).await.unwrap();
+    }
+    assert_eq!(listed, expected.1);
+    assert!(scene.published().unwrap().seq > expected.0);
+
+    let mut reading = scene.read_all().await.unwrap();
+    reading.next(7).await.unwrap();
+    service.remove(&name("s")).await.unwrap();
+    let refused = reading.next(7).await;
+    assert!(matches!(refused, Err(ServiceError::NoSuchScene(_))));
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_stream_waits_for_room_in_a_full_queue() {
     let directory = tempfile::tempdir().unwrap();

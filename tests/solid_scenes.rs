@@ -106,7 +106,7 @@ fn stocks() -> [Option<Stock>; 3] {
 }
 
 /// What the scene answers is what its bodies come to.
-async fn assert_holds(scene: &SolidScene, stock: &Option<Stock>, bodies: &Bodies) {
+async fn assert_holds(scene: &Arc<SolidScene>, stock: &Option<Stock>, bodies: &Bodies) {
     let published = scene.published().unwrap();
     assert_eq!(
         published.totals.union,

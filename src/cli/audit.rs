@@ -93,7 +93,7 @@ pub(crate) fn run(args: Args) -> Outcome {
 }
 
 /// A bar of a thousand parts, drawn only on a terminal.
-fn progress(name: &str) -> ProgressBar {
+pub(super) fn progress(name: &str) -> ProgressBar {
     let style = ProgressStyle::with_template("{prefix} {wide_bar} {percent} % {eta}")
         .expect("the template is well-formed");
     ProgressBar::new(1000)

@@ -274,6 +274,34 @@ impl Client {
         }
     }
 
+    /// A copy of its log, as it comes.
+    pub(crate) async fn backup(&self) -> Result<reqwest::Response, Failure> {
+        self.send(self.http.get(self.below("backup"))).await
+    }
+
+    /// Names of the server's scenes.
+    pub(crate) async fn scene_names(server: &str) -> Result<Vec<String>, Failure> {
+        #[derive(serde::Deserialize)]
+        struct List {
+            scenes: Vec<Named>,
+        }
+        #[derive(serde::Deserialize)]
+        struct Named {
+            name: String,
+        }
+        let mut this = Self::of(server, "")?;
+        if let Ok(mut segments) = this.scene.path_segments_mut() {
+            segments.pop_if_empty();
+        }
+        let url = this.scene.clone();
+        let text = this.ask(this.http.get(url.clone())).await?;
+        let list: List = serde_json::from_str(&text).map_err(|error| Failure::Unreadable {
+            url,
+            cause: error.to_string(),
+        })?;
+        Ok(list.scenes.into_iter().map(|named| named.name).collect())
+    }
+
     fn below(&self, name: &str) -> Url {
         let mut url = self.scene.clone();
         if let Ok(mut segments) = url.path_segments_mut() {

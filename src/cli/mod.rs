@@ -1,6 +1,7 @@
 //! The subcommands: each a file with its arguments and a `run`.
 
 mod audit;
+mod backup;
 mod client;
 mod credentials;
 mod cutter;
@@ -13,6 +14,7 @@ mod path;
 mod program;
 mod progress;
 mod report;
+mod restore;
 mod serve;
 mod solids;
 
@@ -40,6 +42,8 @@ enum Command {
     Path(path::Args),
     Measure(measure::Args),
     Audit(audit::Args),
+    Backup(backup::Args),
+    Restore(restore::Args),
     Key(key::Args),
 }
 
@@ -52,6 +56,8 @@ pub(crate) fn main() -> ExitCode {
         Command::Path(args) => path::run(args),
         Command::Measure(args) => measure::run(args),
         Command::Audit(args) => audit::run(args),
+        Command::Backup(args) => backup::run(args),
+        Command::Restore(args) => restore::run(args),
         Command::Key(args) => key::run(args),
     };
     outcome.unwrap_or_else(|error| {

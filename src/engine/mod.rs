@@ -41,7 +41,7 @@ use std::thread::available_parallelism;
 use crate::geometry::{CUBES_MAX, CubeId, Edge, Effect, Place, Stock, Totals};
 
 pub use access::Access;
-pub use audit::recount;
+pub use audit::{recount, recount_while};
 pub use bare::Bare;
 use batch::{BATCH_MIN, Helper, delete_batch, insert_batch};
 use batch_ids::change_ids;

@@ -14,6 +14,7 @@
 //! it, from its first page on. (A transaction that failed lies behind what is durable, and the next one is written over it.)
 
 use std::io;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
 
@@ -47,12 +48,24 @@ pub(super) struct Database {
     unmoved_pages: u64,
     /// How long SQLite took for the last commit: it writes the pages to the write-ahead file, and syncs it.
     commit_time: Duration,
-    readers: Vec<Weak<Mutex<Option<Connection>>>>,
+    readers: Arc<Readers>,
+}
+
+/// The connections of a database that only read.
+#[derive(Default)]
+struct Readers {
+    /// Whether the writer's connection goes, and waits for them.
+    closing: AtomicBool,
+    open: Mutex<Vec<Weak<Mutex<Option<Connection>>>>>,
 }
 
 /// A connection that only reads. It is closed with the writer's: as long as one is open SQLite goes by what it noted of the
 /// write-ahead file before an error, instead of looking at the file anew.
-pub(super) struct Reader(Arc<Mutex<Option<Connection>>>);
+pub(super) struct Reader {
+    connection: Arc<Mutex<Option<Connection>>>,
+    /// It and its like.
+    all: Arc<Readers>,
+}
 
 impl Database {
     /// Fills an empty directory with the database of a scene without changes, and closes it.
@@ -135,7 +148,7 @@ impl Database {
             settled: false,
             unmoved_pages: 0,
             commit_time: Duration::ZERO,
-            readers: Vec::new(),
+            readers: Arc::default(),
         };
         Ok((database, meta))
     }
@@ -208,6 +221,7 @@ impl Database {
             .map_err(&sqlite)?;
         self.settled = true;
         self.mark();
+        self.site.note_identity();
         Ok(())
     }
 
@@ -264,34 +278,61 @@ impl Database {
     }
 
     /// A connection that only reads, until this one is dropped.
-    pub(super) fn reader(&mut self) -> Result<Reader, LogError> {
-        let open = || {
-            let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
-            let connection = Connection::open_with_flags(&self.site.database, flags)?;
-            configure(&connection)?;
-            Ok(connection)
-        };
-        let connection = open().map_err(self.site.sqlite(self.superblock.seq))?;
-        let connection = Arc::new(Mutex::new(Some(connection)));
-        self.readers.retain(|reader| reader.strong_count() > 0);
-        self.readers.push(Arc::downgrade(&connection));
-        Ok(Reader(connection))
+    pub(super) fn reader(&self) -> Result<Reader, LogError> {
+        let reader = Readers::open(&self.readers, &self.site)?;
+        Ok(reader.expect("this one is there"))
     }
 }
 
 impl Drop for Database {
     fn drop(&mut self) {
         // Waits for those who are reading. The writer's own connection comes last: only the last one moves the write-ahead file.
-        for reader in self.readers.iter().filter_map(Weak::upgrade) {
+        let mut open = self.readers.open.lock();
+        self.readers.closing.store(true, Ordering::Relaxed);
+        for reader in open.drain(..).filter_map(|reader| reader.upgrade()) {
             reader.lock().take();
         }
+    }
+}
+
+impl Readers {
+    /// Opens one more; none when the writer's connection is gone.
+    fn open(all: &Arc<Self>, site: &Site) -> Result<Option<Reader>, LogError> {
+        let mut open = all.open.lock();
+        if all.closing.load(Ordering::Relaxed) {
+            return Ok(None);
+        }
+        let connect = || {
+            let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+            let connection = Connection::open_with_flags(&site.database, flags)?;
+            configure(&connection)?;
+            Ok(connection)
+        };
+        let connection = connect().map_err(site.sqlite(Seq(0)))?;
+        let connection = Arc::new(Mutex::new(Some(connection)));
+        open.retain(|reader| reader.strong_count() > 0);
+        open.push(Arc::downgrade(&connection));
+        Ok(Some(Reader {
+            connection,
+            all: all.clone(),
+        }))
     }
 }
 
 impl Reader {
     /// The connection, for one at a time; none once it is closed.
     pub(super) fn connection(&self) -> Option<MappedMutexGuard<'_, Connection>> {
-        MutexGuard::try_map(self.0.lock(), Option::as_mut).ok()
+        MutexGuard::try_map(self.connection.lock(), Option::as_mut).ok()
+    }
+
+    /// Another one of the same database; none when the writer's connection is gone.
+    pub(super) fn another(&self, site: &Site) -> Result<Option<Self>, LogError> {
+        Readers::open(&self.all, site)
+    }
+
+    /// Whether the writer's connection goes, and waits for this one.
+    pub(super) fn is_closing(&self) -> bool {
+        self.all.closing.load(Ordering::Relaxed)
     }
 }
 

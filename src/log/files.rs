@@ -7,13 +7,14 @@
 //!           scene.sqlite-wal    SQLite's write-ahead file: newest changes, until they are moved into the database
 //!           scene.sqlite-shm    SQLite's index of that; rebuilt whenever it opens
 //!           acknowledged        the newest generation that was answered for
+//!           identity            which file the database is, by its inode: a copy is another
 //! ```
 //! A directory is built under a name that starts with [`TEMPORARY_PREFIX`] and renamed, and removed the other way round, so a crash leaves a
 //! whole scene, or none and some rubbish that [`remove_leftovers`] knows by its name.
 
 use std::fs::{self, DirBuilder, File, OpenOptions, Permissions};
 use std::io::{self, Read, Seek, SeekFrom, Write};
-use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt, PermissionsExt};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
 use super::kind::Kind;
@@ -42,6 +43,10 @@ const HEADER_SIZE: usize = 100;
 const ADVICE: &str =
     "restore the scene's directory from a backup, or delete the scene; nothing was guessed";
 
+/// The same of one whose files are a copy.
+const COPIED: &str = "the files are a copy, and files that a server writes to cannot be copied one by one: take a copy with union3d backup, or while no \
+                      server runs; nothing was guessed";
+
 /// Where a scene's files are, to find them and to name them in errors.
 #[derive(Clone, Debug)]
 pub(super) struct Site {
@@ -57,12 +62,44 @@ impl Site {
         }
     }
 
+    /// A database file by itself, to name it in errors.
+    pub(super) fn new_file(file: &Path) -> Self {
+        Self {
+            directory: parent(file).to_owned(),
+            database: file.to_owned(),
+        }
+    }
+
     pub(super) fn write_ahead(&self) -> PathBuf {
         self.directory.join("scene.sqlite-wal")
     }
 
     fn acknowledged(&self) -> PathBuf {
         self.directory.join("acknowledged")
+    }
+
+    /// Which file the database was when it was last found right.
+    fn identity(&self) -> PathBuf {
+        self.directory.join("identity")
+    }
+
+    /// Notes which file the database is, to tell a copy later. Of no use for anything else, so nothing is said when it fails.
+    pub(super) fn note_identity(&self) {
+        let Ok(metadata) = fs::metadata(&self.database) else {
+            return;
+        };
+        let inode = metadata.ino().to_string();
+        let noted = fs::read_to_string(self.identity());
+        if noted.ok().as_deref() != Some(&*inode) {
+            drop(fs::write(self.identity(), inode));
+        }
+    }
+
+    /// Whether the files are a copy of what was written, as far as it is known.
+    fn is_copied(&self) -> bool {
+        let noted = fs::read_to_string(self.identity());
+        let inode = fs::metadata(&self.database).map(|metadata| metadata.ino().to_string());
+        matches!((noted, inode), (Ok(noted), Ok(inode)) if noted != inode)
     }
 
     /// Makes the names of the files durable, and that of their directory.
@@ -98,10 +135,11 @@ impl Site {
     }
 
     pub(super) fn damaged(&self, seq: Seq, what: impl std::fmt::Display) -> LogError {
+        let advice = if self.is_copied() { COPIED } else { ADVICE };
         LogError::Damaged {
             path: self.database.clone(),
             seq,
-            detail: format!("{what}; {ADVICE}"),
+            detail: format!("{what}; {advice}"),
         }
     }
 
@@ -450,6 +488,14 @@ fn is_never_synced(error: &io::Error) -> bool {
             | io::ErrorKind::InvalidInput
             | io::ErrorKind::Unsupported
     )
+}
+
+/// Makes the files in a directory durable.
+pub(super) fn sync_all(directory: &Path) -> io::Result<()> {
+    for entry in fs::read_dir(directory)? {
+        File::open(entry?.path())?.sync_all()?;
+    }
+    Ok(())
 }
 
 /// Makes the names in a directory durable.

@@ -50,6 +50,23 @@ impl<K: Kind> HistoryReader<K> {
         }
     }
 
+    /// One more, so that who reads long keeps nobody waiting.
+    pub(super) fn another(&self) -> Result<Self, LogError> {
+        let reader = self.reader.another(&self.site)?;
+        Ok(Self {
+            site: self.site.clone(),
+            reader: reader.ok_or_else(|| self.closed())?,
+            seal: self.seal,
+            nothing: self.nothing,
+            created_ms: self.created_ms,
+        })
+    }
+
+    /// Whether the log waits for this reader, to be closed.
+    pub(super) fn is_closing(&self) -> bool {
+        self.reader.is_closing()
+    }
+
     /// Oldest seq whose totals are kept (seq 0, the empty scene, counts as kept until anything was dropped), and the newest.
     /// # Errors
     /// [`LogError::Damaged`] when the log is.
@@ -172,7 +189,7 @@ impl<K: Kind> HistoryReader<K> {
     }
 
     /// One moment of the log: until the transaction is dropped, all that is read is as of its superblock.
-    fn moment<'a>(
+    pub(super) fn moment<'a>(
         &self,
         connection: &'a Connection,
     ) -> Result<(Transaction<'a>, Superblock), LogError> {
@@ -183,9 +200,12 @@ impl<K: Kind> HistoryReader<K> {
         Ok((transaction, superblock))
     }
 
-    fn connection(&self) -> Result<MappedMutexGuard<'_, Connection>, LogError> {
-        let connection = self.reader.connection();
-        connection.ok_or_else(|| self.site.failed("the log was closed meanwhile"))
+    pub(super) fn connection(&self) -> Result<MappedMutexGuard<'_, Connection>, LogError> {
+        self.reader.connection().ok_or_else(|| self.closed())
+    }
+
+    fn closed(&self) -> LogError {
+        self.site.failed("the log was closed meanwhile")
     }
 
     fn empty_scene(&self) -> HistoryRow<K> {

@@ -18,6 +18,7 @@
 //! One question asks less: rows by the numbers of moves are found through an index, and how many there must be is written
 //! nowhere. A damaged index can leave rows out of that answer; the rows that are in it are right, and no state depends on it.
 
+mod backup;
 mod bytes;
 mod chunks;
 mod codec;
@@ -41,6 +42,7 @@ use std::path::PathBuf;
 
 use crate::geometry::{CubeId, Effect};
 
+pub use backup::restore;
 pub use bytes::{Malformed, Reader};
 pub(crate) use bytes::{put_signed, put_varint};
 pub use codec::RECORD_CUBES_MAX;

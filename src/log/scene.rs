@@ -311,7 +311,7 @@ impl<K: Kind> Log<K> {
     /// A reader of the history, for as long as the log is open.
     /// # Errors
     /// The disk's.
-    pub fn history(&mut self) -> Result<HistoryReader<K>, LogError> {
+    pub fn history(&self) -> Result<HistoryReader<K>, LogError> {
         Ok(HistoryReader::new(
             self.database.site.clone(),
             self.database.reader()?,

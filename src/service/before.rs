@@ -14,6 +14,10 @@ use super::kind::SceneKind;
 use super::table::Table;
 use crate::engine::Cursor;
 use crate::geometry::CubeId;
+use crate::log::Kind;
+
+/// A body at its place in a listing; none where there is none any more, or was none yet.
+pub(super) type Listed<K> = (Cursor, Option<(CubeId, <K as Kind>::Body)>);
 
 /// What the bodies that some changes named were before the first of them. No body is in both tables.
 pub(super) struct Before<K: SceneKind> {
@@ -90,15 +94,18 @@ impl<K: SceneKind> Before<K> {
         self.there.get(id).is_some() || self.was_absent(id)
     }
 
-    /// The listing of the bodies as they were, after a cursor, from the engine as it is now. None stands for a body that was not there.
+    /// The listing of the bodies as they were, after a cursor, from the listing after it as it is now. None stands for a body that was
+    /// not there.
     pub(super) fn listing<'a>(
         &'a self,
-        engine: &'a K::Engine,
+        now: impl Iterator<Item = Listed<K>> + 'a,
         after: Option<Cursor>,
-    ) -> impl Iterator<Item = (Cursor, Option<(CubeId, K::Body)>)> + 'a {
-        let with_cursor = |(id, body)| (Cursor::of(id), (id, body));
-        let mut now = K::bodies_after(engine, after).map(with_cursor).peekable();
-        let mut there = self.there.bodies_after(after).map(with_cursor).peekable();
+    ) -> impl Iterator<Item = Listed<K>> + 'a {
+        let mut now = now.peekable();
+        let there = self.there.bodies_after(after);
+        let mut there = there
+            .map(|(id, body)| (Cursor::of(id), (id, body)))
+            .peekable();
         std::iter::from_fn(move || {
             let is_there = match (there.peek(), now.peek()) {
                 (Some((at, _)), Some((here, _))) => at <= here,
@@ -111,8 +118,7 @@ impl<K: SceneKind> Before<K> {
                 return Some((at, Some(body)));
             }
             let (here, body) = now.next()?;
-            let was_absent = self.was_absent(body.0);
-            Some((here, (!was_absent).then_some(body)))
+            Some((here, body.filter(|(id, _)| !self.was_absent(*id))))
         })
     }
 }

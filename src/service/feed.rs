@@ -6,8 +6,10 @@ use arc_swap::ArcSwap;
 use tokio::sync::watch;
 
 use super::Published;
+use super::copying::{Begun, Copies};
 use super::kind::SceneKind;
 use super::set::BodySet;
+use crate::geometry::Effect;
 use crate::log::HistoryReader;
 
 /// Where readers find the durable state.
@@ -18,6 +20,8 @@ pub(super) struct Feed<K: SceneKind> {
     pub(super) history: HistoryReader<K>,
     /// What bodies stand on, as far as it is durable.
     pub(super) context: ArcSwap<K::Context>,
+    /// Those who read all bodies as of one moment.
+    copies: Copies<K>,
 }
 
 impl<K: SceneKind> Feed<K> {
@@ -33,15 +37,28 @@ impl<K: SceneKind> Feed<K> {
             updates: watch::Sender::new(*published),
             history,
             context: ArcSwap::from_pointee(context.clone()),
+            copies: Copies::default(),
         }
     }
 
-    /// Shows a new durable state: to those who look first, then to those who wait. Nobody sees an older state in one place
-    /// after this one in another.
-    pub(super) fn publish(&self, published: &Published<K>) {
-        self.set.advance(published, || {
-            self.newest.store(Arc::new(*published));
-            self.updates.send_replace(*published);
+    /// Shows the durable state that some changes have led to: to those who look first, then to those who wait. Nobody sees an older
+    /// state in one place after this one in another.
+    pub(super) fn publish<'a>(
+        &self,
+        published: &Published<K>,
+        effects: &(impl Iterator<Item = &'a Effect<K::Body>> + Clone),
+    ) {
+        self.copies.note(effects, || {
+            self.set.advance(published, || {
+                self.newest.store(Arc::new(*published));
+                self.updates.send_replace(*published);
+            });
         });
+    }
+
+    /// Begins to read all bodies as they are durable now; given up when more than so many change ahead of the reading. None when the
+    /// writer has failed.
+    pub(super) fn copy(&self, changed_max: usize) -> Option<Begun<K>> {
+        self.copies.begin(&self.set, changed_max)
     }
 }

@@ -57,13 +57,8 @@ impl<K: SceneKind> Judging<'_, K> {
             Operations::Named(ops) => (ops, None),
             Operations::Numbered { delete, insert } => {
                 let wanted = insert.len() as u64;
-                let assigned = match wanted {
-                    0 => None,
-                    _ => {
-                        let is_taken = |id| K::get(self.engine, id).is_some();
-                        Some(self.next_id.range(wanted, is_taken))
-                    }
-                };
+                let is_taken = |id| K::get(self.engine, id).is_some();
+                let assigned = (wanted > 0).then(|| self.next_id.range(wanted, is_taken));
                 let ids = assigned.map_or(0..=0, |(first, last)| first.0..=last.0);
                 let insert = ids
                     .zip(insert)

@@ -1,7 +1,7 @@
 //! What the scenes of different kinds have of their own: the engine, and how a set of bodies is kept while it is ahead of the disk.
 //!
 //! ```text
-//!   scene, inbox, writer, judge, set, before, upkeep, replay, revert      the same for every kind
+//!   scene, inbox, writer, judge, set, before, copying, replay, revert     the same for every kind
 //!     └─ SceneKind ── Cubes:  engine::Engine          bodies are places
 //!                  └─ Solids: engine::solids::Engine  bodies are swept shapes and hulls (`solids`)
 //! ```
@@ -21,6 +21,9 @@ pub trait SceneKind: Kind {
     type Table: Table<Self::Body>;
     /// Bodies of a few changes by where they are.
     type Near: Default + Send + Sync + 'static;
+
+    /// What a recount takes of memory for each body, in bytes.
+    const RECOUNT_BYTES: u64;
 
     /// Bodies that a replay takes together at most, when it need not compare after every change.
     const REPLAYED_TOGETHER_MAX: usize;
@@ -91,14 +94,21 @@ pub trait SceneKind: Kind {
     /// Whether two totals are those of one set of bodies, as far as can be told.
     fn agree(one: &Self::Totals, other: &Self::Totals) -> bool;
 
-    /// Totals from the bodies alone.
-    fn recount(header: &Header<Self>, bodies: Vec<Self::Body>) -> Self::Totals;
+    /// Totals from the bodies alone; none when `goes_on`, which is asked now and then, says no.
+    fn recount(
+        header: &Header<Self>,
+        bodies: Vec<Self::Body>,
+        goes_on: &dyn Fn() -> bool,
+    ) -> Option<Self::Totals>;
 }
 
 impl SceneKind for Cubes {
     type Engine = Engine;
     type Table = IdTable;
     type Near = Places;
+
+    /// Its place twice, on its way, and some 80 in an engine.
+    const RECOUNT_BYTES: u64 = 128;
 
     const REPLAYED_TOGETHER_MAX: usize = 1 << 22;
 
@@ -184,9 +194,9 @@ impl SceneKind for Cubes {
         one == other
     }
 
-    fn recount(header: &Header, places: Vec<Place>) -> Totals {
+    fn recount(header: &Header, places: Vec<Place>, goes_on: &dyn Fn() -> bool) -> Option<Totals> {
         let edge = edge_of(header).expect("an edge is checked before its header is kept");
-        engine::recount(edge, header.stock, places.into_iter())
+        engine::recount_while(edge, header.stock, places.into_iter(), goes_on)
     }
 }
 

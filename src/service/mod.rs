@@ -12,7 +12,10 @@
 //! ```
 
 mod any;
+mod backup;
 mod before;
+mod budget;
+mod copying;
 mod failpoint;
 mod feed;
 mod gate;
@@ -26,6 +29,7 @@ mod meters;
 mod next_id;
 mod offline;
 mod places;
+mod reading;
 mod registry;
 mod replay;
 mod revert;
@@ -46,12 +50,15 @@ use crate::engine::{Counts, Op, Rejected};
 use crate::geometry::{CUBES_MAX, CubeId};
 pub use crate::log::{Cubes, HistoryRow, Kind, Motion, Seq};
 pub use any::{AnyScene, SceneFacts, SolidScene};
+pub use backup::Copied;
+pub use budget::{Budget, Client, Share};
 pub use failpoint::{FailHook, FailPoint};
 pub use gauges::{Gauges, Load, Spread, StateGauges};
 pub use kind::SceneKind;
 pub use machine::{Disk, memory_limit_bytes};
 pub use meters::{Meter, describe_metrics};
 pub use offline::{AnyAudit, Offline, OfflineAudit};
+pub use reading::Reading;
 pub use registry::Service;
 pub use scene::{Scene, SceneOf};
 pub use solids::{NamedShape, SHAPES_MAX, Shapes, SolidTotals, Solids};
@@ -91,6 +98,12 @@ pub struct ServiceConfig {
     pub scene_cubes_max: u64,
     /// Scenes that are replayed at the same time: each replay can use all cores, and takes memory.
     pub replays_max: usize,
+    /// Most scenes.
+    pub scenes_max: usize,
+    /// Free bytes of the data directory's file system below which nothing more is taken in.
+    pub disk_free_bytes_min: u64,
+    /// The memory that requests and audits share, in bytes.
+    pub memory_bytes_max: u64,
 }
 
 /// A scene's name: `[a-z0-9][a-z0-9._-]{0,62}`.
@@ -267,6 +280,28 @@ pub enum ServiceError {
         /// How many.
         waiting: usize,
     },
+    /// A reading of all bodies took so long that too much has changed.
+    #[error(
+        "more than {changed} bodies have changed while the listing was read; list again, and read faster"
+    )]
+    ReadTooSlowly {
+        /// How many may change.
+        changed: usize,
+    },
+    /// There are as many scenes as may be.
+    #[error("there are {scenes} scenes, as many as may be")]
+    TooManyScenes {
+        /// How many.
+        scenes: usize,
+    },
+    /// What requests share of the memory is used up, or the client's share of it.
+    #[error(
+        "it takes {wanted} bytes of the memory that requests share, of which so many are not free for it now"
+    )]
+    MemoryUsed {
+        /// How many bytes it takes.
+        wanted: u64,
+    },
     /// The change does not fit the scene.
     #[error(transparent)]
     Rejected(#[from] Rejected),
@@ -379,6 +414,9 @@ impl ServiceConfig {
             probe_interval: Duration::from_secs(1),
             scene_cubes_max: CUBES_MAX,
             replays_max: 2,
+            scenes_max: 10_000,
+            disk_free_bytes_min: 0,
+            memory_bytes_max: 1 << 30,
         }
     }
 }

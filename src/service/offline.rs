@@ -8,11 +8,12 @@ use super::registry::lock_data;
 use super::replay::{Compare, rebuild};
 use super::solids::Solids;
 use super::{Audit, Published, SceneName, Seq, StartError};
-use crate::log::{Cubes, Keep, Log, LogError, is_of};
+use crate::log::{Cubes, Keep, Log, LogError, create_directories, is_of};
 
 /// A data directory, locked: no service can use it meanwhile.
 #[derive(Debug)]
 pub struct Offline {
+    directory: PathBuf,
     scenes: Vec<(SceneName, PathBuf)>,
     _lock: File,
 }
@@ -99,9 +100,22 @@ impl Offline {
         }
         scenes.sort();
         Ok(Self {
+            directory,
             scenes,
             _lock: lock,
         })
+    }
+
+    /// As [`Offline::open`]; a directory that is not there is made.
+    /// # Errors
+    /// It cannot be made, or a service uses it.
+    pub fn open_or_create(data: &Path) -> Result<Self, StartError> {
+        let scenes = data.join("scenes");
+        for directory in [data, &scenes] {
+            create_directories(directory)
+                .map_err(|error| StartError(format!("{}: {error}", directory.display())))?;
+        }
+        Self::open(data)
     }
 
     /// The scenes, by name.
@@ -120,16 +134,42 @@ impl Offline {
         name: &SceneName,
         progress: &mut dyn FnMut(u32),
     ) -> Result<OfflineAudit, LogError> {
-        let (_, directory) = self
-            .scenes
-            .iter()
-            .find(|(own, _)| own == name)
-            .expect("the name is one of scenes()");
-        if is_of::<Solids>(directory)? {
-            audit_of::<Solids>(directory, AnyAudit::Solids, progress)
-        } else {
-            audit_of::<Cubes>(directory, AnyAudit::Cubes, progress)
-        }
+        audit_of_any(self.directory(name), progress)
+    }
+
+    /// The directory of a scene.
+    pub(super) fn directory(&self, name: &SceneName) -> &Path {
+        let found = self.scenes.iter().find(|(own, _)| own == name);
+        &found.expect("the name is one of scenes()").1
+    }
+
+    /// Where the directories of scenes are.
+    pub(super) fn scenes_directory(&self) -> &Path {
+        &self.directory
+    }
+}
+
+/// Limits under which nothing is trimmed: the log keeps what it has.
+pub(super) fn keep_all() -> Keep {
+    Keep {
+        history_changes_max: u64::MAX,
+        idempotency_keys_max: u64::MAX,
+        revert_changes_max: u64::MAX,
+        revert_bytes_max: u64::MAX,
+        snapshot_log_bytes_min: u64::MAX,
+        write_ahead_pages_max: u64::MAX,
+    }
+}
+
+/// Audits the scene in a directory, of whichever kind.
+pub(super) fn audit_of_any(
+    directory: &Path,
+    progress: &mut dyn FnMut(u32),
+) -> Result<OfflineAudit, LogError> {
+    if is_of::<Solids>(directory)? {
+        audit_of::<Solids>(directory, AnyAudit::Solids, progress)
+    } else {
+        audit_of::<Cubes>(directory, AnyAudit::Cubes, progress)
     }
 }
 
@@ -138,16 +178,7 @@ fn audit_of<K: SceneKind>(
     any: impl FnOnce(Box<Audit<K>>) -> AnyAudit,
     progress: &mut dyn FnMut(u32),
 ) -> Result<OfflineAudit, LogError> {
-    // Nothing is trimmed here: the log keeps what it has.
-    let keep = Keep {
-        history_changes_max: u64::MAX,
-        idempotency_keys_max: u64::MAX,
-        revert_changes_max: u64::MAX,
-        revert_bytes_max: u64::MAX,
-        snapshot_log_bytes_min: u64::MAX,
-        write_ahead_pages_max: u64::MAX,
-    };
-    let (mut log, notices) = Log::<K>::open(directory, keep)?;
+    let (mut log, notices) = Log::<K>::open(directory, keep_all())?;
     let records = log.verify(&mut |permille| progress(permille / 2))?;
     let rebuilt = rebuild(
         &mut log,
@@ -159,11 +190,12 @@ fn audit_of<K: SceneKind>(
     let rebuilt = rebuilt.expect("nobody ends it");
     let Published { seq, totals, .. } = rebuilt.published();
     let bodies = K::bodies_after(&rebuilt.engine, None).map(|(_, body)| body);
+    let recounted = K::recount(log.header(), bodies.collect(), &|| true);
     Ok(OfflineAudit {
         audit: any(Box::new(Audit {
             seq,
             kept: totals,
-            recounted: K::recount(log.header(), bodies.collect()),
+            recounted: recounted.expect("nobody ends it"),
         })),
         records,
         notices,

@@ -17,6 +17,7 @@ use dashmap::DashMap;
 use parking_lot::{Condvar, Mutex, RwLock};
 
 use super::any::{AnyScene, OneOfAny, SceneFacts, SolidScene};
+use super::budget::Budget;
 use super::failpoint::FailHook;
 use super::gate::Gate;
 use super::gauges::Gauges;
@@ -103,6 +104,7 @@ impl Service {
         close(&config.data, &scenes);
         let setup = Arc::new(Setup {
             gate: Gate::new(config.replays_max),
+            budget: Budget::new(config.memory_bytes_max),
             config,
             fail_hook,
         });
@@ -139,6 +141,11 @@ impl Service {
             })?;
         }
         Ok(Self(Arc::new(registry)))
+    }
+
+    /// The memory that requests share.
+    pub fn budget(&self) -> &Budget {
+        &self.0.setup.budget
     }
 
     /// Whether the replay that began at start is done.
@@ -301,6 +308,14 @@ impl Registry {
                     settings: scene.settings().to_owned(),
                 })
             };
+        }
+        self.setup.check_disk()?;
+        // With those that are being made; one that is being dropped counts twice until it is gone.
+        let scenes = self.scenes.len() + self.busy.names.lock().len();
+        if scenes > self.setup.config.scenes_max {
+            return Err(ServiceError::TooManyScenes {
+                scenes: self.scenes.len(),
+            });
         }
         let scene = Arc::new(SceneOf::<K>::new(
             name.clone(),

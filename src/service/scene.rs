@@ -18,6 +18,7 @@ use arc_swap::ArcSwap;
 use parking_lot::Mutex;
 use tokio::sync::{Semaphore, watch};
 
+use super::budget::Budget;
 use super::failpoint::FailHook;
 use super::feed::Feed;
 use super::gate::Gate;
@@ -27,8 +28,8 @@ use super::kind::SceneKind;
 use super::set::View;
 use super::solids::Solids;
 use super::{
-    Applied, Audit, CHANGE_OPERATIONS_MAX, Chain, HistoryRow, Published, SceneName, SceneState,
-    Seq, ServiceConfig, ServiceError, Submission, meters,
+    Applied, CHANGE_OPERATIONS_MAX, Chain, HistoryRow, Published, SceneName, SceneState, Seq,
+    ServiceConfig, ServiceError, Submission, meters,
 };
 use crate::engine::solids::Body;
 use crate::engine::{Cursor, Side};
@@ -40,7 +41,34 @@ use crate::log::{Cubes, Header, HistoryReader, LogError, write_ahead_bytes};
 pub(super) struct Setup {
     pub(super) config: ServiceConfig,
     pub(super) gate: Gate,
+    pub(super) budget: Budget,
     pub(super) fail_hook: Option<FailHook>,
+}
+
+/// Clients that read all bodies of one scene at a time; others wait.
+const READINGS_MAX: usize = 32;
+
+impl Setup {
+    /// Whether so little space is free where the data is that nothing more is taken in. (When it cannot be told, it is tried.)
+    pub(super) fn check_disk(&self) -> Result<(), ServiceError> {
+        let least = self.config.disk_free_bytes_min;
+        if least == 0 {
+            return Ok(());
+        }
+        let Ok(disk) = rustix::fs::statvfs(&self.config.data) else {
+            return Ok(());
+        };
+        let free = disk.f_bavail.saturating_mul(disk.f_frsize);
+        if free >= least {
+            return Ok(());
+        }
+        Err(ServiceError::Storage {
+            cause: format!(
+                "{free} bytes are free where the data is, fewer than disk_free_bytes_min = {least}"
+            ),
+            full: true,
+        })
+    }
 }
 
 /// How a scene is, with what its readers need.
@@ -83,8 +111,12 @@ pub struct SceneOf<K: SceneKind> {
     pub(super) inbox: Inbox<K>,
     /// What its writer shows of the log.
     pub(super) pulse: Pulse,
-    /// For copies of all bodies: one at a time, for each takes as much memory as the bodies.
-    copies: Semaphore,
+    /// For audits: one at a time, for each takes as much memory as the bodies, and more.
+    pub(super) audits: Semaphore,
+    /// For copies of the log.
+    pub(super) copies: Semaphore,
+    /// For readings of all bodies by clients.
+    pub(super) readings: Arc<Semaphore>,
     thread: Mutex<Option<JoinHandle<()>>>,
 }
 
@@ -313,42 +345,9 @@ impl<K: SceneKind> SceneOf<K> {
         self.read(move |view| view.page(after, limit)).await
     }
 
-    /// All bodies as of one seq, in the order of the listing. O(bodies), and changes wait meanwhile.
-    pub async fn bodies(&self) -> Result<(Seq, Vec<(CubeId, K::Body)>), ServiceError> {
-        self.copy(|view| (view.seq(), view.bodies().collect()))
-            .await
-    }
-
     /// What its bodies stand on, as far as it is durable.
     pub fn context(&self) -> Result<Arc<K::Context>, ServiceError> {
         Ok(self.feed()?.context.load_full())
-    }
-
-    /// Recounts everything from the bodies alone, on another thread, and compares.
-    pub async fn audit(&self) -> Result<Audit<K>, ServiceError> {
-        let (Published { seq, totals, .. }, bodies) = self
-            .copy(|view| {
-                let bodies: Vec<K::Body> = view.bodies().map(|(_, body)| body).collect();
-                (view.published(), bodies)
-            })
-            .await?;
-        let kept = totals;
-        let header = self.header.get().expect("a scene that runs has a header");
-        let header = header.clone();
-        let recounted = blocking(move || K::recount(&header, bodies)).await?;
-        if !K::agree(&recounted, &kept) {
-            meters::audit_differed();
-            tracing::error!(
-                scene = self.name.as_str(),
-                seq = seq.0,
-                "audit: totals differ from a recount"
-            );
-        }
-        Ok(Audit {
-            seq,
-            kept,
-            recounted,
-        })
     }
 
     /// Reads the durable bodies: at once, or on a thread that may block while the writer takes a step.
@@ -364,17 +363,6 @@ impl<K: SceneKind> SceneOf<K> {
         answer.ok_or_else(|| self.refusal())
     }
 
-    /// Copies bodies on a thread that may block. Who has gone before it was their turn is passed over.
-    async fn copy<T: Send + 'static>(
-        &self,
-        copy: impl FnOnce(&View<'_, K>) -> T + Send + 'static,
-    ) -> Result<T, ServiceError> {
-        let _turn = self.copies.acquire().await.expect("it is never closed");
-        let feed = self.feed()?;
-        let copied = blocking(move || feed.set.view().map(|view| copy(&view))).await?;
-        copied.ok_or_else(|| self.refusal())
-    }
-
     /// Reads the history on a thread that may block.
     async fn read_history<T: Send + 'static>(
         &self,
@@ -386,7 +374,7 @@ impl<K: SceneKind> SceneOf<K> {
             .map_err(ServiceError::from)
     }
 
-    fn feed(&self) -> Result<Arc<Feed<K>>, ServiceError> {
+    pub(super) fn feed(&self) -> Result<Arc<Feed<K>>, ServiceError> {
         match &**self.condition.load() {
             Condition::Running(feed) => Ok(feed.clone()),
             condition => Err(self.refusal_in(condition)),
@@ -454,11 +442,6 @@ impl Scene {
         self.body(id).await
     }
 
-    /// All cubes as of one seq, in the order of the listing. O(cubes), and changes wait meanwhile.
-    pub async fn cubes(&self) -> Result<(Seq, Vec<(CubeId, Place)>), ServiceError> {
-        self.bodies().await
-    }
-
     /// Where a point lies, and the cube of least id that holds it (closed cubes).
     pub async fn contains(
         &self,
@@ -502,7 +485,9 @@ impl<K: SceneKind> SceneOf<K> {
             notices: Mutex::default(),
             inbox: Inbox::default(),
             pulse: Pulse::default(),
+            audits: Semaphore::new(1),
             copies: Semaphore::new(1),
+            readings: Arc::new(Semaphore::new(READINGS_MAX)),
             thread: Mutex::default(),
         }
     }

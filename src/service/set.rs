@@ -14,7 +14,7 @@ use std::ops::RangeInclusive;
 
 use parking_lot::{Mutex, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
-use super::before::Before;
+use super::before::{Before, Listed};
 use super::kind::SceneKind;
 use super::solids::Solids;
 use super::{Published, Seq};
@@ -262,16 +262,12 @@ impl<'a, K: SceneKind> View<'a, K> {
         (page, None)
     }
 
-    /// All bodies, in the order of the listing.
-    pub(super) fn bodies(&self) -> impl Iterator<Item = (CubeId, K::Body)> + '_ {
-        self.listing(None).filter_map(|(_, body)| body)
-    }
-
-    fn listing(
-        &self,
-        after: Option<Cursor>,
-    ) -> impl Iterator<Item = (Cursor, Option<(CubeId, K::Body)>)> + '_ {
-        self.0.ahead.before.listing(&self.0.engine, after)
+    /// All bodies after the cursor, in the order of the listing.
+    pub(super) fn listing(&self, after: Option<Cursor>) -> impl Iterator<Item = Listed<K>> + '_ {
+        let State { engine, ahead, .. } = &*self.0;
+        let now = K::bodies_after(engine, after);
+        let now = now.map(|(id, body)| (Cursor::of(id), Some((id, body))));
+        ahead.before.listing(now, after)
     }
 }
 
@@ -358,7 +354,8 @@ mod tests {
                 assert_eq!(view.body(*id), self.durable.get(id).copied());
             }
             let mut expected = self.durable.iter().map(|(id, place)| (*id, *place));
-            let mut listed: Vec<_> = view.bodies().collect();
+            let bodies = || view.listing(None).filter_map(|(_, body)| body);
+            let mut listed: Vec<_> = bodies().collect();
             assert!(listed.is_sorted_by_key(|(id, _)| Cursor::of(*id)));
             listed.sort_unstable_by_key(|(id, _)| *id);
             assert!(listed.into_iter().eq(expected.by_ref()));
@@ -372,7 +369,7 @@ mod tests {
                     break;
                 }
             }
-            assert!(paged.into_iter().eq(view.bodies()));
+            assert!(paged.into_iter().eq(bodies()));
             for point in self.points {
                 let mut alone = Held::new(Edge::new(EDGE.into()).unwrap(), *point);
                 for (id, place) in self.durable {

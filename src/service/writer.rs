@@ -139,13 +139,11 @@ impl<K: SceneKind> Writer<K> {
                     scene.pulse.committed(pages, self.log.wants_checkpoint());
                     group.net.iter().for_each(meters::changed);
                     self.published = newest;
-                    self.feed.publish(&newest);
+                    let effects = group.records.iter().map(|record| &record.effect);
+                    self.feed.publish(&newest, &effects);
                 }
                 for (reply, outcome) in replies.into_iter().zip(group.outcomes) {
                     reply.send(outcome);
-                }
-                for record in &group.records {
-                    self.upkeep.note(&record.effect);
                 }
                 Ok(())
             }
@@ -214,7 +212,10 @@ impl<K: SceneKind> Writer<K> {
             key,
         } = submission;
         if let Operations::Define(definition) = operations {
-            return self.define(&definition).map(Some);
+            return match scene.setup.check_disk() {
+                Ok(()) => self.define(&definition).map(Some),
+                Err(refusal) => Ok(Some(Err(refusal))),
+            };
         }
         if let Operations::DryRun(operations) = operations {
             return self.dry_run(scene, *operations, counting).map(Some);
@@ -227,6 +228,9 @@ impl<K: SceneKind> Writer<K> {
             } else {
                 Err(ServiceError::KeyReused)
             }));
+        }
+        if let Err(refusal) = scene.setup.check_disk() {
+            return Ok(Some(Err(refusal)));
         }
         let newest = group.newest().unwrap_or(self.published).seq;
         let accepted = match self.accept(scene, newest, operations, counting)? {
@@ -438,7 +442,7 @@ impl<K: SceneKind> Writer<K> {
             return Ok(());
         }
         let step_cubes = scene.setup.config.snapshot_step_cubes;
-        match upkeep.step(log, &feed.set, &self.published, self.next_id, step_cubes) {
+        match upkeep.step(log, feed, &self.published, self.next_id, step_cubes) {
             // Changes may still fit where a snapshot does not; they will tell when they do not.
             Err(error @ LogError::Full { .. }) => {
                 tracing::warn!(

@@ -304,7 +304,7 @@ pub(super) fn point_among_solids(at: [f64; 3], sent: &str, scale: Scale) -> Resu
 
 /// Recounts everything and compares: the seq that it is as of, and the number of cubes.
 pub(super) async fn audit<K: ShownKind>(
-    scene: &SceneOf<K>,
+    scene: &Arc<SceneOf<K>>,
     settings: &K::Settings,
 ) -> Result<(Seq, u64), Problem> {
     let audit = scene.audit().await?;

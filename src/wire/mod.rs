@@ -23,6 +23,7 @@ mod kind;
 mod objects;
 mod open;
 pub mod problem;
+mod room;
 pub mod solids;
 mod vector;
 

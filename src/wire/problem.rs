@@ -99,6 +99,8 @@ kinds! {
         "A scene is of cubes or of solids, for its life. This call is for the other kind; the detail names the scene's.";
     ShapeExists "shape-exists" 409 None, "The shape cannot be defined",
         "There is another shape of this name, and a shape never changes; or the scene has as many shapes as it may, 1,024. Take another name, or a shape that is there.";
+    ReadTooSlowly "read-too-slowly" 409 None, "The listing was read too slowly",
+        "So much has changed since the listing began that it cannot be finished as of one seq, and it broke off. List again and read faster, or read a page at a time.";
     SeqNotKept "seq-not-kept" 410 None, "This seq is no longer kept",
         "`oldest` is the oldest whose totals are kept.";
     NotReachable "seq-not-reachable" 410 None, "This seq can no longer be gone back to",
@@ -116,7 +118,11 @@ kinds! {
     KeyReused "idempotency-key-reused" 422 None, "The idempotency key came before with another body",
         "A key stands for one body. Use a new key for a new change.";
     QueueFull "queue-full" 429 Some(1), "Too many changes are waiting",
-        "So many changes wait for the scene, or so many large bodies for the server, that this one was not taken. Nothing of it was applied. Send it again after the time in Retry-After.";
+        "So many changes wait for the scene that this one was not taken. Nothing of it was applied. Send it again after the time in Retry-After.";
+    MemoryUsed "memory-used" 429 Some(1), "The memory for requests is used up",
+        "Requests share a part of the server's memory (memory_bytes_max), and a client's share of it is as much as is free. Nothing was applied. Send it again after the time in Retry-After, or smaller.";
+    TooManyScenes "too-many-scenes" 507 None, "There are as many scenes as may be",
+        "The setting scenes_max says how many. Drop one that is not needed.";
     Internal "internal" 500 None, "The server failed",
         "A fault of the server, which its log describes. Whether a change was applied is shown by its seq; sending it again is safe when it names its ids or has an Idempotency-Key.";
     AuditDifference "audit-difference" 500 None, "The totals differ from a recount",
@@ -209,7 +215,7 @@ impl Fault {
         self.pointer = self.pointer.map(|place| cut(place, PLACE_BYTES_MAX));
         let name = |name: Cow<'static, str>| match name {
             Cow::Owned(name) => Cow::Owned(cut(name, PLACE_BYTES_MAX)),
-            known => known,
+            known @ Cow::Borrowed(_) => known,
         };
         self.parameter = self.parameter.map(name);
         self.detail = name(self.detail);
@@ -445,6 +451,9 @@ impl From<ServiceError> for Problem {
             ServiceError::OtherKind { .. } => problem(Code::OtherKind),
             ServiceError::TooManyOperations { .. } => problem(Code::TooLarge),
             ServiceError::KeyReused => problem(Code::KeyReused),
+            ServiceError::MemoryUsed { .. } => problem(Code::MemoryUsed),
+            ServiceError::TooManyScenes { .. } => problem(Code::TooManyScenes),
+            ServiceError::ReadTooSlowly { .. } => problem(Code::ReadTooSlowly),
             ServiceError::SeqNotKept { oldest, .. } => {
                 problem(Code::SeqNotKept).with("oldest", oldest.0)
             }

@@ -8,6 +8,7 @@ mod golden;
 mod ids;
 #[path = "../oracle/keys.rs"]
 mod keys;
+mod memory;
 #[path = "../oracle/random.rs"]
 mod random;
 mod reads;

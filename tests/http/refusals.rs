@@ -160,43 +160,6 @@ async fn a_client_that_sends_first_and_reads_later_gets_its_answer() {
     assert!(answer.starts_with("HTTP/1.1 413 "), "{answer}");
 }
 
-/// However many clients send large bodies at once, the server's memory is bounded: the fifth largest waits, small ones do not.
-#[tokio::test]
-async fn large_bodies_wait_for_room() {
-    const SIZE: usize = 200_000;
-    let limits = Limits {
-        body_bytes_max: SIZE,
-        ..Limits::default()
-    };
-    let server = Server::limited(limits).await;
-    let scene = server.scene("s", 2).await;
-    let mut sockets = vec![];
-    for _ in 0..4 {
-        let mut socket = TcpStream::connect(&server.address).await.unwrap();
-        let head = format!(
-            "POST {scene}/changes HTTP/1.1\r\nhost: localhost\r\nexpect: 100-continue\r\ncontent-type: {JSON}\r\ncontent-length: {SIZE}\r\n\r\n"
-        );
-        socket.write_all(head.as_bytes()).await.unwrap();
-        let mut answer = [0; 12];
-        timeout(PATIENCE, socket.read_exact(&mut answer))
-            .await
-            .unwrap()
-            .unwrap();
-        assert_eq!(&answer, b"HTTP/1.1 100");
-        sockets.push(socket);
-    }
-    let large = format!("{{{}}}", " ".repeat(SIZE - 2));
-    let mut waits = Box::pin(server.change(&scene, &large));
-    assert!(
-        timeout(Duration::from_millis(200), &mut waits)
-            .await
-            .is_err()
-    );
-    server.change(&scene, "{}").await.ok();
-    sockets.pop();
-    waits.await.ok();
-}
-
 #[tokio::test]
 async fn a_body_that_does_not_arrive_is_given_up() {
     let limits = Limits {

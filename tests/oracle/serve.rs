@@ -10,6 +10,7 @@ pub(crate) struct Server {
     /// Its address over HTTP.
     pub(crate) url: String,
     /// And over gRPC.
+    #[allow(dead_code, reason = "not every test program asks over gRPC")]
     pub(crate) grpc: String,
 }
 

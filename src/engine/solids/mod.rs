@@ -79,7 +79,7 @@ use lines::Member;
 use measures::Extents;
 pub use measures::{AREA_UNIT, ErrorMax, LENGTH_UNIT, Measures, Totals, VOLUME_UNIT};
 use piece::Piece;
-pub use recount::{recount, recount_exactly};
+pub use recount::{recount, recount_exactly, recount_while};
 use slots::{Part, Slots, State};
 pub use stock::{InvalidStock, STOCK_VERTICES_MAX, Stock};
 use witnesses::Placed;

@@ -16,7 +16,7 @@ use std::ops::RangeInclusive;
 use super::kind::SceneKind;
 use super::{ServiceConfig, ServiceError};
 use crate::engine::solids::{self, Body, Effect, Engine, ErrorMax, Judged, Op, SOLIDS_MAX, Stock};
-use crate::engine::{Access, Cursor, solids::recount};
+use crate::engine::{Access, Cursor, solids::recount_while};
 use crate::geometry::CubeId;
 use crate::log::{ColumnReader, ColumnWriter, Header, Kind, Malformed, Reader};
 
@@ -118,6 +118,9 @@ impl SceneKind for Solids {
     type Table = BTreeMap<Cursor, (CubeId, Body)>;
     type Near = ();
 
+    /// Some 1,000 in an engine, and as many for what is prepared of it.
+    const RECOUNT_BYTES: u64 = 2048;
+
     const REPLAYED_TOGETHER_MAX: usize = 1 << 14;
 
     fn engine(header: &Header<Self>) -> Result<Engine, String> {
@@ -205,10 +208,15 @@ impl SceneKind for Solids {
         one.union == other.union
     }
 
-    fn recount(header: &Header<Self>, bodies: Vec<Body>) -> SolidTotals {
-        SolidTotals {
-            union: recount(header.stock.clone(), bodies.into_iter()),
+    fn recount(
+        header: &Header<Self>,
+        bodies: Vec<Body>,
+        goes_on: &dyn Fn() -> bool,
+    ) -> Option<SolidTotals> {
+        let union = recount_while(header.stock.clone(), bodies.into_iter(), goes_on)?;
+        Some(SolidTotals {
+            union,
             error_max: ErrorMax::default(),
-        }
+        })
     }
 }

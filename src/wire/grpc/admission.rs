@@ -53,13 +53,16 @@ where
         let ticket = match self.admit(&request) {
             Ok(ticket) => ticket,
             Err(problem) => {
-                let refused = status(&problem, "").into_http().map(Body::new);
+                let refused = status(&problem, "").into_http();
                 return Box::pin(std::future::ready(Ok(refused)));
             }
         };
         request.extensions_mut().insert(ticket.clone());
-        let incoming =
-            request.map(|body| Body::new(Held::new(body, ticket.clone(), || Err(taken_back()))));
+        let incoming = request.map(|body| {
+            Body::new(Held::new(body, ticket.clone(), || {
+                Err(axum::Error::new(taken_back()))
+            }))
+        });
         let answer = self.inner.call(incoming);
         Box::pin(async move {
             let answer = answer.await?;

@@ -12,7 +12,7 @@ use super::admission::{Whole, permitted, ticket};
 use super::messages::{self, Detail, MessageKind};
 use super::{idempotency_key, solids, status, stream};
 use crate::geometry::CubeId;
-use crate::service::{AnyScene, SceneOf, Seq, Service, ServiceError};
+use crate::service::{AnyScene, Reading, SceneOf, Seq, Service, ServiceError};
 use crate::wire::access::{Effect, Ticket};
 use crate::wire::atomic::{Atomic, Run, Sent};
 use crate::wire::calls::{self, HistoryRows, within};
@@ -173,6 +173,26 @@ fn watch<K: MessageKind>(
 }
 
 /// The changes of the past that are asked for.
+/// All bodies, so many in a message; one message also when there are none.
+fn listed<K: MessageKind, T: Send + 'static>(
+    mut reading: Reading<K>,
+    bodies_at_once: usize,
+    message: impl Fn(&[(CubeId, K::Body)]) -> T + Send + 'static,
+) -> Streamed<T> {
+    Box::pin(async_stream::stream! {
+        let mut is_first = true;
+        loop {
+            let bodies = reading.next(bodies_at_once).await;
+            let bodies = bodies.map_err(|error| status::status(&error.into(), ""))?;
+            if bodies.is_empty() && !is_first {
+                break;
+            }
+            is_first = false;
+            yield Ok(message(&bodies));
+        }
+    })
+}
+
 fn history<K: MessageKind>(
     scene: Arc<SceneOf<K>>,
     settings: Arc<K::Settings>,
@@ -449,18 +469,13 @@ impl UnionService for Calls {
         let request = permitted(request)?;
         let work = async {
             let (scene, _) = calls::open(&self.service, &request.scene)?;
-            Ok(scene.cubes().await?)
+            Ok(scene.read_all().await?)
         };
-        let (Seq(seq), cubes) = bounded(&self.limits, "", work).await?.into_inner();
-        Ok(Response::new(Box::pin(async_stream::stream! {
-            if cubes.is_empty() {
-                let cubes = Some(messages::insertion(&[]));
-                yield Ok(ListCubesResponse { seq, cubes });
-            }
-            for cubes in cubes.chunks(LISTED_CUBES) {
-                let cubes = Some(messages::insertion(cubes));
-                yield Ok(ListCubesResponse { seq, cubes });
-            }
+        let reading = bounded(&self.limits, "", work).await?.into_inner();
+        let seq = reading.seq().0;
+        Ok(Response::new(listed(reading, LISTED_CUBES, move |cubes| {
+            let cubes = Some(messages::insertion(cubes));
+            ListCubesResponse { seq, cubes }
         })))
     }
 
@@ -487,20 +502,18 @@ impl UnionService for Calls {
         let request = permitted(request)?;
         let work = async {
             let (scene, _) = calls::open_solids(&self.service, &request.scene)?;
-            let (seq, bodies) = scene.bodies().await?;
-            Ok((seq, bodies, scene.context()?))
+            Ok((scene.read_all().await?, scene.context()?))
         };
-        let (Seq(seq), bodies, shapes) = bounded(&self.limits, "", work).await?.into_inner();
-        Ok(Response::new(Box::pin(async_stream::stream! {
-            if bodies.is_empty() {
-                let solids = Some(solids::insertion(&[], &shapes));
-                yield Ok(ListSolidsResponse { seq, solids });
-            }
-            for bodies in bodies.chunks(LISTED_SOLIDS) {
+        let (reading, shapes) = bounded(&self.limits, "", work).await?.into_inner();
+        let seq = reading.seq().0;
+        Ok(Response::new(listed(
+            reading,
+            LISTED_SOLIDS,
+            move |bodies| {
                 let solids = Some(solids::insertion(bodies, &shapes));
-                yield Ok(ListSolidsResponse { seq, solids });
-            }
-        })))
+                ListSolidsResponse { seq, solids }
+            },
+        )))
     }
 
     async fn get_solid(

@@ -37,11 +37,16 @@ const fn grpc_code(code: Code) -> GrpcCode {
         Code::NoSuchScene | Code::NoSuchCube => GrpcCode::NotFound,
         Code::SceneExists | Code::IdConflict | Code::ShapeExists => GrpcCode::AlreadyExists,
         Code::KeyReused | Code::OtherKind => GrpcCode::FailedPrecondition,
+        Code::ReadTooSlowly => GrpcCode::Aborted,
         Code::SeqNotReached | Code::SeqNotKept | Code::NotReachable => GrpcCode::OutOfRange,
         Code::RequestTimeout | Code::WaitTimeout | Code::AnswerTimeout => {
             GrpcCode::DeadlineExceeded
         }
-        Code::TooLarge | Code::SceneFull | Code::QueueFull => GrpcCode::ResourceExhausted,
+        Code::TooLarge
+        | Code::SceneFull
+        | Code::QueueFull
+        | Code::MemoryUsed
+        | Code::TooManyScenes => GrpcCode::ResourceExhausted,
         Code::Internal => GrpcCode::Internal,
         Code::AuditDifference | Code::SceneDamaged => GrpcCode::DataLoss,
         Code::Recovering

@@ -10,11 +10,11 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use tower_http::cors::CorsLayer;
 
-use crate::wire::access::{Access, Effect, Held};
+use crate::wire::access::{Access, Effect, Held, Origin};
 use crate::wire::problem::Code;
 
 /// How long a browser may keep that an origin may ask. Most browsers keep it for two hours at the most.
-const PREFLIGHT_AGE_MAX: Duration = Duration::from_secs(2 * 60 * 60);
+const PREFLIGHT_AGE_MAX: Duration = Duration::from_hours(2);
 
 /// Middleware: refuses who asks for another server, or for a page of another origin that was not allowed.
 pub(super) async fn known_hosts(
@@ -68,12 +68,7 @@ pub(super) async fn admit(
 
 /// What pages of the allowed origins are told, if there are any: a browser keeps answers from pages that are not told.
 pub(super) fn cross_origin(access: &Access) -> Option<CorsLayer> {
-    let origins: Vec<HeaderValue> = access
-        .hosts()
-        .origins()
-        .iter()
-        .map(|one| one.value())
-        .collect();
+    let origins: Vec<HeaderValue> = access.hosts().origins().iter().map(Origin::value).collect();
     if origins.is_empty() {
         return None;
     }

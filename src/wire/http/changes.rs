@@ -12,7 +12,7 @@ use utoipa::ToSchema;
 
 use super::ndjson::StreamedKind;
 use super::request::{
-    self, ABOUT_ID, ABOUT_IDS, BodyType, Parameters, Path, Return, body_type, idempotency_key,
+    self, ABOUT_ID, ABOUT_IDS, BodyType, Parameters, Path, Return, Room, body_type, idempotency_key,
 };
 use super::{App, ndjson, scenes};
 use crate::engine::Op;
@@ -229,15 +229,30 @@ pub(super) async fn post_changes(
     Path(name): Path<String>,
     parameters: Parameters,
     headers: HeaderMap,
+    room: Room,
     body: Body,
 ) -> Result<Response, Problem> {
     let wanted = Wanted::read_of_change(parameters)?;
     match scenes::open_any(&app, &name)? {
         Opened::Cubes(scene, settings) => {
-            change(&app, &ticket, (scene, settings), wanted, (&headers, body)).await
+            change(
+                &app,
+                &ticket,
+                (scene, settings),
+                wanted,
+                (&headers, room, body),
+            )
+            .await
         }
         Opened::Solids(scene, settings) => {
-            change(&app, &ticket, (scene, settings), wanted, (&headers, body)).await
+            change(
+                &app,
+                &ticket,
+                (scene, settings),
+                wanted,
+                (&headers, room, body),
+            )
+            .await
         }
     }
 }
@@ -248,7 +263,7 @@ async fn change<K: StreamedKind>(
     ticket: &Ticket,
     (scene, settings): (Arc<SceneOf<K>>, Arc<K::Settings>),
     wanted: Wanted,
-    (headers, body): (&HeaderMap, Body),
+    (headers, room, body): (&HeaderMap, Room, Body),
 ) -> Result<Response, Problem> {
     let taken = [BodyType::Json, BodyType::Ndjson, BodyType::Protobuf];
     let (kind, key) = wanted.kind_and_key(headers, &taken)?;
@@ -258,8 +273,8 @@ async fn change<K: StreamedKind>(
         let applied = applied.map_err(|problem| problem.with_ids(wanted.ids))?;
         return Ok(answer(&scene, &settings, wanted, &applied).into_response());
     }
-    // The room that it takes is given back when it is answered.
-    let body = request::read(headers, body, &app.limits, &app.room).await?;
+    // The memory that it takes is given back when it is answered.
+    let body = request::read(headers, body, &app.limits, room).await?;
     let bytes = body.bytes.clone();
     let sent = match kind {
         BodyType::Protobuf => Sent::Protobuf(bytes),
@@ -299,13 +314,14 @@ pub(super) async fn post_revert(
     Path(name): Path<String>,
     parameters: Parameters,
     headers: HeaderMap,
+    room: Room,
     body: Body,
 ) -> Result<Response, Problem> {
     let wanted = Wanted::read(parameters)?;
     let opened = scenes::open_any(&app, &name)?;
     let key = idempotency_key(&headers)?;
     body_type(&headers, &[BodyType::Json])?;
-    let body = request::read(&headers, body, &app.limits, &app.room).await?;
+    let body = request::read(&headers, body, &app.limits, room).await?;
     let to = decode::revert(&body.bytes)?;
     Ok(match opened {
         Opened::Cubes(scene, settings) => {

@@ -1,6 +1,5 @@
 //! Reading cubes: one, a page, all.
 
-use std::convert::Infallible;
 use std::sync::Arc;
 
 use axum::Json;
@@ -19,7 +18,7 @@ use super::request::{
 use super::{App, scenes};
 use crate::engine::Cursor;
 use crate::geometry::CubeId;
-use crate::service::Scene;
+use crate::service::{Reading, Scene, SceneKind, SceneOf, Seq, ServiceError};
 use crate::wire::calls;
 use crate::wire::convert::Settings;
 use crate::wire::documents::{Cube, IdForm, LineOperation};
@@ -123,24 +122,49 @@ pub(super) fn cursor(query: &Known) -> Result<Option<Cursor>, Problem> {
 
 /// All cubes as lines that can be posted to `changes`.
 async fn all_cubes(
-    scene: &Scene,
+    scene: &Arc<Scene>,
     settings: Arc<Settings>,
     ids: IdForm,
 ) -> Result<Response, Problem> {
-    let (seq, cubes) = scene.cubes().await?;
-    let lines = async_stream::stream! {
-        for cubes in cubes.chunks(LISTED_CUBES) {
-            let mut text = Vec::with_capacity(cubes.len() * 64);
-            for cube in cubes {
-                let line = LineOperation::Insert(Cube::new(*cube, ids, &settings));
-                serde_json::to_writer(&mut text, &line).expect("numbers and strings are JSON");
-                text.push(b'\n');
-            }
-            yield Ok::<_, Infallible>(Bytes::from(text));
-        }
-    };
+    let reading = scene.read_all().await?;
+    let headers = listing_headers(scene, reading.seq());
+    let lines = listing(reading, LISTED_CUBES, move |cube| {
+        LineOperation::Insert(Cube::new(*cube, ids, &settings))
+    });
+    Ok((headers, lines).into_response())
+}
+
+/// What is said of a listing as of one seq.
+pub(super) fn listing_headers<K: SceneKind>(scene: &SceneOf<K>, seq: Seq) -> HeaderMap {
     let mut headers = HeaderMap::new();
     headers.insert(header::CONTENT_TYPE, BodyType::Ndjson.value());
     headers.typed_insert(entity_tag(scene, seq));
-    Ok((headers, Body::from_stream(lines)).into_response())
+    headers
+}
+
+/// All bodies, a line each, so many at a time. What keeps it from coming to its end breaks it off, so that nobody takes a part of a
+/// listing for all of it.
+pub(super) fn listing<K: SceneKind, T: Serialize>(
+    mut reading: Reading<K>,
+    bodies_at_once: usize,
+    line: impl Fn(&(CubeId, K::Body)) -> T + Send + 'static,
+) -> Body {
+    Body::from_stream(async_stream::stream! {
+        loop {
+            let bodies = match reading.next(bodies_at_once).await {
+                Ok(bodies) if bodies.is_empty() => break,
+                Ok(bodies) => bodies,
+                Err(error) => {
+                    yield Err(error);
+                    break;
+                }
+            };
+            let mut text = Vec::with_capacity(bodies.len() * 64);
+            for body in &bodies {
+                serde_json::to_writer(&mut text, &line(body)).expect("numbers and strings are JSON");
+                text.push(b'\n');
+            }
+            yield Ok::<_, ServiceError>(Bytes::from(text));
+        }
+    })
 }

@@ -5,6 +5,7 @@
 //! ```
 
 mod admission;
+mod backup;
 mod changes;
 mod contains;
 mod cubes;
@@ -41,7 +42,6 @@ use tower_http::trace::TraceLayer;
 use utoipa_swagger_ui::SwaggerUi;
 
 pub use self::exposition::{install_metrics, keep_metrics};
-use self::request::Room;
 use super::access::Access;
 use super::calls::{self, within};
 use super::door::{Door, Protocol};
@@ -77,7 +77,6 @@ impl Default for Limits {
 struct App {
     service: Service,
     limits: Limits,
-    room: Room,
     access: Access,
     metrics: PrometheusHandle,
 }
@@ -137,6 +136,7 @@ fn unbounded_routes() -> Vec<Route> {
             get(reads::stream_mass_properties),
         ),
         ("/v1/scenes/{scene}/audit", post(reads::post_audit)),
+        ("/v1/scenes/{scene}/backup", get(backup::get_backup)),
     ]
 }
 
@@ -164,7 +164,6 @@ fn router(service: Service, limits: Limits, access: Access) -> Router {
     let app = App {
         service,
         limits,
-        room: Room::new(&limits),
         access: access.clone(),
         metrics: install_metrics(),
     };

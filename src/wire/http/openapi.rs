@@ -17,7 +17,9 @@ use utoipa::openapi::{
 use utoipa::{Modify, OpenApi};
 
 use super::problem::ProblemDocument;
-use super::{changes, contains, cubes, exposition, history, operate, reads, scenes, solids};
+use super::{
+    backup, changes, contains, cubes, exposition, history, operate, reads, scenes, solids,
+};
 use crate::wire::access::{Need, of_http};
 use crate::wire::problem::{Code, Kind};
 
@@ -32,6 +34,7 @@ use crate::wire::problem::{Code, Kind};
         scenes::put_scene, scenes::get_scenes, scenes::get_scene, scenes::delete_scene,
         changes::post_changes, changes::post_revert, changes::delete_cube,
         reads::get_mass_properties, reads::stream_mass_properties, history::get_history, reads::post_audit,
+        backup::get_backup,
         cubes::get_cube, cubes::get_cubes, contains::get_contains,
         solids::put_shape, solids::get_solid, solids::get_solids, solids::delete_solid,
         operate::get_healthz, operate::get_readyz, exposition::get_metrics, get_openapi,
@@ -196,10 +199,10 @@ fn complete_parameter(parameter: &mut Map<String, Value>) {
 /// What a call may fail with, besides [`EVERY_CALL`] and, where a scene must answer, [`EVERY_SCENE`].
 fn failures(operation: &str) -> &'static [Code] {
     use Code::{
-        AuditDifference, BadJson, BadProtobuf, DiskFull, IdConflict, KeyReused, NoSuchCube,
-        NoSuchPath, NotReachable, OtherKind, QueueFull, Recovering, RequestTimeout, SceneExists,
-        SceneFull, SeqNotKept, SeqNotReached, ShapeExists, ShuttingDown, StorageFailed, TooLarge,
-        UnsupportedMediaType, WaitTimeout,
+        AuditDifference, BadJson, BadProtobuf, DiskFull, IdConflict, KeyReused, MemoryUsed,
+        NoSuchCube, NoSuchPath, NotReachable, OtherKind, QueueFull, ReadTooSlowly, Recovering,
+        RequestTimeout, SceneExists, SceneFull, SeqNotKept, SeqNotReached, ShapeExists,
+        ShuttingDown, StorageFailed, TooLarge, TooManyScenes, UnsupportedMediaType, WaitTimeout,
     };
     match operation {
         "put_scene" => &[
@@ -211,6 +214,8 @@ fn failures(operation: &str) -> &'static [Code] {
             UnsupportedMediaType,
             StorageFailed,
             DiskFull,
+            TooManyScenes,
+            MemoryUsed,
             ShuttingDown,
             Recovering,
         ],
@@ -224,6 +229,7 @@ fn failures(operation: &str) -> &'static [Code] {
             SceneFull,
             KeyReused,
             QueueFull,
+            MemoryUsed,
         ],
         "post_revert" => &[
             BadJson,
@@ -234,6 +240,7 @@ fn failures(operation: &str) -> &'static [Code] {
             UnsupportedMediaType,
             KeyReused,
             QueueFull,
+            MemoryUsed,
         ],
         "delete_cube" | "delete_solid" => &[QueueFull],
         "put_shape" => &[
@@ -243,6 +250,7 @@ fn failures(operation: &str) -> &'static [Code] {
             TooLarge,
             UnsupportedMediaType,
             QueueFull,
+            MemoryUsed,
         ],
         "get_mass_properties" => &[SeqNotKept, SeqNotReached, WaitTimeout],
         "get_history" => &[SeqNotKept],
@@ -254,7 +262,10 @@ fn failures(operation: &str) -> &'static [Code] {
             TooLarge,
             UnsupportedMediaType,
             QueueFull,
+            MemoryUsed,
         ],
+        "get_cubes" | "get_solids" => &[ReadTooSlowly],
+        "get_backup" => &[StorageFailed, DiskFull],
         "get_readyz" => &[Recovering],
         "get_problem" => &[NoSuchPath],
         _ => &[],

@@ -30,7 +30,8 @@ pub(super) async fn get_healthz() -> Json<Health> {
 #[derive(Serialize, ToSchema)]
 pub(crate) struct Ready {
     /// Always true: otherwise the answer is a problem.
-    ready: bool,
+    #[serde(rename = "ready")]
+    is_ready: bool,
     /// Scenes that are stopped or damaged, of those that the key may read; without a key none, where there are keys.
     troubled: Vec<Troubled>,
     /// What those who run the server should know: that it is open to more than it should be, that the file of keys is broken.
@@ -61,7 +62,7 @@ pub(super) async fn get_readyz(
                 cause,
             });
             Ok(Json(Ready {
-                ready: true,
+                is_ready: true,
                 troubled: troubled.collect(),
                 warnings: app.access.warnings(),
             }))

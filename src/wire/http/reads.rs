@@ -14,7 +14,7 @@ use headers::{ETag, HeaderMapExt, IfNoneMatch};
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::request::{self, BodyType, Parameters, Path, body_type};
+use super::request::{self, BodyType, Parameters, Path, Room, body_type};
 use super::{App, scenes};
 use crate::service::{Published, SceneKind, SceneOf, Seq};
 use crate::wire::calls;
@@ -176,11 +176,12 @@ pub(super) async fn post_audit(
     Path(name): Path<String>,
     parameters: Parameters,
     headers: HeaderMap,
+    room: Room,
     body: Body,
 ) -> Result<Json<AuditDocument>, Problem> {
     parameters.only(&[])?;
     body_type(&headers, &[BodyType::Json])?;
-    let body = request::read(&headers, body, &app.limits, &app.room).await?;
+    let body = request::read(&headers, body, &app.limits, room).await?;
     decode::audit(&body.bytes)?;
     let (seq, cubes, solids) = match scenes::open_any(&app, &name)? {
         Opened::Cubes(scene, settings) => {

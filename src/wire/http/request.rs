@@ -1,7 +1,7 @@
 //! What a request says outside its body, and the reading of bodies: everything checked, every failure a problem.
 
 use std::borrow::Cow;
-use std::sync::Arc;
+use std::convert::Infallible;
 use std::time::Duration;
 
 use axum::body::{Body, Bytes};
@@ -13,13 +13,14 @@ use futures_util::StreamExt;
 use headers::HeaderMapExt;
 use headers_accept::Accept;
 use mediatype::MediaType;
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use utoipa::ToSchema;
 
-use super::Limits;
+use super::{App, Limits};
+use crate::service::Share;
 use crate::wire::calls;
 use crate::wire::documents::{IdForm, decimal};
 use crate::wire::problem::{Code, Fault, Faults, Problem};
+use crate::wire::room;
 
 /// What is said of the parameter `id` in a path.
 pub(super) const ABOUT_ID: &str = "The cube's id: a whole number from 0 to 2^64 - 1, in decimal digits. Where numbers are floats, as in \
@@ -256,75 +257,72 @@ pub(super) fn idempotency_key(headers: &HeaderMap) -> Result<Option<Box<str>>, P
     calls::idempotency_key(value.as_bytes()).map(Some)
 }
 
-/// Bodies below this are read whenever they come, however many.
-const SMALL_BODY_BYTES_MAX: usize = 64 << 10;
+/// The memory that a request's body takes.
+pub(super) struct Room(Share);
 
-/// Largest bodies for which there is room at once.
-const LARGEST_BODIES_MAX: usize = 4;
+impl FromRequestParts<App> for Room {
+    type Rejection = Infallible;
 
-/// The memory that large bodies share, in KiB: without a bound a few dozen clients could take all there is.
-#[derive(Clone, Debug)]
-pub(super) struct Room(Arc<Semaphore>);
-
-impl Room {
-    pub(super) fn new(limits: &Limits) -> Self {
-        let largest = kibibytes(limits.body_bytes_max);
-        let all = usize::try_from(largest).unwrap_or(usize::MAX) * LARGEST_BODIES_MAX;
-        Self(Arc::new(Semaphore::new(all.min(Semaphore::MAX_PERMITS))))
+    async fn from_request_parts(parts: &mut Parts, app: &App) -> Result<Self, Infallible> {
+        let client = room::client(&parts.extensions);
+        Ok(Self(app.service.budget().share(client)))
     }
-}
-
-fn kibibytes(bytes: usize) -> u32 {
-    u32::try_from(bytes.div_ceil(1 << 10)).unwrap_or(u32::MAX >> 3)
 }
 
 /// A body that was read whole, and the room that it takes as long as it is there.
 pub(super) struct Whole {
     pub(super) bytes: Bytes,
-    _taken: Option<OwnedSemaphorePermit>,
+    _share: Share,
 }
 
-/// Reads a body whole.
+/// Reads a body whole. Of each byte that arrives as much memory is taken as what it becomes.
 pub(super) async fn read(
     headers: &HeaderMap,
     body: Body,
     limits: &Limits,
-    room: &Room,
+    Room(mut share): Room,
 ) -> Result<Whole, Problem> {
     // What a client announces is believed only so far: memory follows what arrives.
     const RESERVED_BYTES_MAX: usize = 1 << 20;
-    let too_large = || {
+    let is_message = body_type(headers, &[BodyType::Protobuf]).is_ok();
+    let weight = if is_message {
+        room::MESSAGE_WEIGHT
+    } else {
+        room::JSON_WEIGHT
+    };
+    let share_max = share.budget().share_max() / weight;
+    let too_large = |bytes: usize| {
+        if bytes <= limits.body_bytes_max {
+            return room::too_large(share_max);
+        }
         let detail = format!("the body is larger than {} bytes", limits.body_bytes_max);
         Problem::new(Code::TooLarge, detail)
     };
+    let bytes_max = usize::try_from(share_max).unwrap_or(usize::MAX);
+    let bytes_max = bytes_max.min(limits.body_bytes_max);
     let announced: Option<usize> = headers
         .get(header::CONTENT_LENGTH)
         .and_then(|length| length.to_str().ok()?.parse().ok());
-    let most = announced.unwrap_or(limits.body_bytes_max);
-    if most > limits.body_bytes_max {
-        return Err(too_large());
+    let most = announced.unwrap_or(bytes_max);
+    if most > bytes_max {
+        return Err(too_large(most));
     }
-    let taken = if most > SMALL_BODY_BYTES_MAX {
-        let room = Arc::clone(&room.0).acquire_many_owned(kibibytes(most));
-        let waited = tokio::time::timeout(limits.request_timeout, room).await;
-        let full = |_| Problem::new(Code::QueueFull, "too many large bodies are being read");
-        waited.map_err(full)?.ok()
-    } else {
-        None
-    };
     let reading = async {
         let mut read = Vec::with_capacity(most.min(RESERVED_BYTES_MAX));
         let mut body = body.into_data_stream();
         while let Some(piece) = body.next().await {
             let piece = piece.map_err(|error| broken(&error))?;
-            if piece.len() > limits.body_bytes_max - read.len() {
-                return Err(too_large());
+            if piece.len() > bytes_max - read.len() {
+                return Err(too_large(read.len() + piece.len()));
+            }
+            if !share.take(room::weighed(piece.len(), weight)) {
+                return Err(room::share_used());
             }
             read.extend_from_slice(&piece);
         }
         Ok(Whole {
             bytes: read.into(),
-            _taken: taken,
+            _share: share,
         })
     };
     match tokio::time::timeout(limits.request_timeout, reading).await {

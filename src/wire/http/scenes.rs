@@ -10,7 +10,7 @@ use axum::{Extension, Json};
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::request::{self, BodyType, Parameters, Path, body_type};
+use super::request::{self, BodyType, Parameters, Path, Room, body_type};
 use super::{App, Limits};
 use crate::service::{AnyScene, Scene, SceneState, SolidScene};
 use crate::wire::access::Ticket;
@@ -169,6 +169,7 @@ pub(super) async fn put_scene(
     Path(name): Path<String>,
     parameters: Parameters,
     headers: HeaderMap,
+    room: Room,
     body: Body,
 ) -> Result<Response, Problem> {
     parameters.only(&[])?;
@@ -178,7 +179,7 @@ pub(super) async fn put_scene(
         body_bytes_max: app.limits.body_bytes_max.min(SETTINGS_BYTES_MAX),
         ..app.limits
     };
-    let body = request::read(&headers, body, &limits, &app.room).await?;
+    let body = request::read(&headers, body, &limits, room).await?;
     let (scene, new) = if decode::is_of_solids(&body.bytes) {
         let wanted = decode::solid_settings(&body.bytes)?;
         let (scene, new) = calls::create_solids(&app.service, &name, &wanted).await?;

@@ -1,22 +1,18 @@
 //! Scenes of solids: their shapes, and the solids themselves.
 
-use std::convert::Infallible;
-
 use axum::Json;
-use axum::body::{Body, Bytes};
+use axum::body::Body;
 use axum::extract::State;
-use axum::http::{HeaderMap, header};
+use axum::http::HeaderMap;
 use axum::response::{IntoResponse, Response};
-use headers::HeaderMapExt;
 use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::changes::{self, Answered, ChangeAnswer};
-use super::cubes::{CURSOR_MARK, cursor};
-use super::reads::entity_tag;
+use super::cubes::{CURSOR_MARK, cursor, listing, listing_headers};
 use super::request::{
-    self, ABOUT_ID, ABOUT_IDS, BodyType, Parameters, Path, Return, VARY, body_type, preferred,
-    whole,
+    self, ABOUT_ID, ABOUT_IDS, BodyType, Parameters, Path, Return, Room, VARY, body_type,
+    preferred, whole,
 };
 use super::{App, scenes};
 use crate::engine::Cursor;
@@ -53,12 +49,13 @@ pub(super) async fn put_shape(
     Path((name, shape)): Path<(String, String)>,
     parameters: Parameters,
     headers: HeaderMap,
+    room: Room,
     body: Body,
 ) -> Result<Json<DefinedShape>, Problem> {
     parameters.only(&[])?;
     let (scene, settings) = scenes::open_solids(&app, &name)?;
     body_type(&headers, &[BodyType::Json])?;
-    let body = request::read(&headers, body, &app.limits, &app.room).await?;
+    let body = request::read(&headers, body, &app.limits, room).await?;
     let shape = decode::shape(&body.bytes, &shape, settings.scale())?;
     Ok(Json(calls::define(&scene, shape).await?))
 }
@@ -130,24 +127,13 @@ pub(super) async fn get_solids(
     let (scene, settings) = scenes::open_solids(&app, &name)?;
     let scale = settings.scale();
     if all {
-        let (seq, solids) = scene.bodies().await?;
+        let reading = scene.read_all().await?;
         let shapes = scene.context()?;
-        let mut headers = HeaderMap::new();
-        headers.insert(header::CONTENT_TYPE, BodyType::Ndjson.value());
-        headers.typed_insert(entity_tag(&scene, seq));
-        let lines = async_stream::stream! {
-            for solids in solids.chunks(LISTED_SOLIDS) {
-                let mut text = Vec::new();
-                for solid in solids {
-                    let shown = SolidDocument::of(solid, ids, &shapes, scale);
-                    serde_json::to_writer(&mut text, &LineOperation::Insert(shown))
-                        .expect("numbers and strings are JSON");
-                    text.push(b'\n');
-                }
-                yield Ok::<_, Infallible>(Bytes::from(text));
-            }
-        };
-        return Ok((VARY, headers, Body::from_stream(lines)).into_response());
+        let headers = listing_headers(&scene, reading.seq());
+        let lines = listing(reading, LISTED_SOLIDS, move |solid| {
+            LineOperation::Insert(SolidDocument::of(solid, ids, &shapes, scale))
+        });
+        return Ok((VARY, headers, lines).into_response());
     }
     let limit = query.limit(PAGE_LIMIT_MAX)?.unwrap_or(PAGE_LIMIT);
     let limit = usize::try_from(limit).expect("it is at most 100,000");
