@@ -8,7 +8,7 @@ use reqwest::{StatusCode, Url, header};
 use serde::Serialize;
 use serde_json::{Value, json, value::RawValue};
 
-use super::credentials::Credentials;
+use super::credentials::{ADVICE, Credentials};
 use union3d::geometry::Place;
 use union3d::wire::convert::{SettingsDocument, StockDocument};
 use union3d::wire::proto::Change;
@@ -411,7 +411,7 @@ fn field<'value>(scene: &'value Value, name: &str) -> &'value Value {
 /// What to do about a server that does not let one in.
 fn advice(status: StatusCode) -> &'static str {
     if status == StatusCode::UNAUTHORIZED {
-        " (--key-file or UNION3D_KEY says the key)"
+        ADVICE
     } else {
         ""
     }

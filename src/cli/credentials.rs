@@ -7,6 +7,9 @@ use reqwest::header::HeaderValue;
 /// The variable that holds the key where there is no file.
 const VARIABLE: &str = "UNION3D_KEY";
 
+/// What to do about a server that does not know who asks.
+pub(crate) const ADVICE: &str = " (--key-file or UNION3D_KEY says the key)";
+
 /// How to be let in.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub(crate) struct CredentialsArgs {

@@ -100,7 +100,11 @@ mod tests {
     fn check(ids: &[u64], count: u64, first: u64) {
         let (next, taken) = passed(ids);
         let range = next.range(count, |id| taken.contains(&id.0));
-        assert_eq!(range, (CubeId(first), CubeId(first + count - 1)), "{ids:?}");
+        assert_eq!(
+            range,
+            (CubeId(first), CubeId(first + (count - 1))),
+            "{ids:?}"
+        );
         // A snapshot of the set tells the same.
         let (set, _) = passed(&taken.iter().copied().collect::<Vec<_>>());
         let restored = set.of_record(next.recorded());

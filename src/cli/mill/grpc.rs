@@ -14,7 +14,7 @@ use tonic::{Code, Request, Status, Streaming};
 use uuid::Uuid;
 
 use super::super::client::{PATIENCE, SceneWanted, causes};
-use super::super::credentials::Credentials;
+use super::super::credentials::{ADVICE, Credentials};
 use super::line::Material;
 use union3d::wire::grpc::Missing;
 use union3d::wire::proto::union_service_client::UnionServiceClient;
@@ -58,7 +58,7 @@ pub(crate) enum Failure {
     #[error("cannot reach {server}: {cause} (is the server running? `union3d serve` starts one)")]
     Unreachable { server: String, cause: String },
     /// It answers with an error.
-    #[error("{server}: {}", status.message())]
+    #[error("{server}: {}{}", status.message(), advice(status))]
     Refused { server: String, status: Status },
     /// Its answer cannot be read.
     #[error("{server} answers without {0} (is it of the same version?)", missing)]
@@ -66,6 +66,15 @@ pub(crate) enum Failure {
         server: String,
         missing: &'static str,
     },
+}
+
+/// What to do about a server that does not let one in.
+fn advice(status: &Status) -> &'static str {
+    if status.code() == Code::Unauthenticated {
+        ADVICE
+    } else {
+        ""
+    }
 }
 
 /// What is left of the patience with a server.

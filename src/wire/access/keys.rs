@@ -20,6 +20,10 @@ use crate::service::SceneName;
 /// What every key starts with, so that one which was published by mistake is recognised.
 const PREFIX: &str = "u3d_";
 
+/// What a line of the file is.
+const FORM: &str =
+    r#"NAME = { sha256 = "..", rights = "read", "write" or "admin", scenes = ["..", ..] }"#;
+
 /// Longest name of a key, in bytes.
 const NAME_BYTES_MAX: usize = 63;
 
@@ -149,7 +153,10 @@ impl Keys {
                 let before = text.get(..span.start).unwrap_or(text);
                 before.matches('\n').count() + 1
             });
-            InvalidKeys(format!("line {line}: {}", error.message()))
+            // The parser's own words repeat what stands there.
+            InvalidKeys(format!(
+                "line {line}: is not {FORM}, or its name stands twice"
+            ))
         })?;
         let mut keys: Vec<Arc<Key>> = Vec::with_capacity(lines.len());
         for (name, line) in lines {
