@@ -9,6 +9,7 @@ use union3d::service::{Offline, SceneName};
 
 use super::Outcome;
 use super::client::Client;
+use super::credentials::{Credentials, CredentialsArgs};
 
 /// Copy scenes into files that `restore` brings back
 ///
@@ -27,6 +28,8 @@ pub(crate) struct Args {
     /// Address of a server to copy from instead
     #[arg(long, value_name = "URL")]
     server: Option<String>,
+    #[command(flatten)]
+    credentials: CredentialsArgs,
     /// Where the copies go; created when it is not there
     #[arg(long, value_name = "DIR")]
     to: PathBuf,
@@ -40,6 +43,7 @@ pub(crate) fn run(args: Args) -> Outcome {
     let Args {
         directory,
         server,
+        credentials,
         to,
         scene: wanted,
     } = args;
@@ -47,23 +51,31 @@ pub(crate) fn run(args: Args) -> Outcome {
     match (directory, server) {
         (_, Some(server)) => {
             let runtime = tokio::runtime::Runtime::new()?;
-            runtime.block_on(from_server(&server, wanted, &to))
+            let credentials = credentials.read()?;
+            runtime.block_on(from_server(&server, &credentials, wanted, &to))
         }
         (Some(directory), None) => from_directory(&directory, &wanted, &to),
         (None, None) => unreachable!("one of the two is required"),
     }
 }
 
-async fn from_server(server: &str, wanted: Vec<String>, to: &Path) -> Outcome {
+async fn from_server(
+    server: &str,
+    credentials: &Credentials,
+    wanted: Vec<String>,
+    to: &Path,
+) -> Outcome {
     let names = if wanted.is_empty() {
-        Client::scene_names(server).await?
+        Client::scene_names(server, credentials).await?
     } else {
         wanted
     };
     for name in names {
         // What is no name of a scene is no name of a file either.
         let name = SceneName::new(&name).map_err(|error| format!("--scene {name:?}: {error}"))?;
-        let mut answer = Client::of(server, name.as_str())?.backup().await?;
+        let mut answer = Client::of(server, credentials, name.as_str())?
+            .backup()
+            .await?;
         let mut file = begin(to)?;
         let mut size = 0;
         let announced = answer.content_length();

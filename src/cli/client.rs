@@ -280,7 +280,10 @@ impl Client {
     }
 
     /// Names of the server's scenes.
-    pub(crate) async fn scene_names(server: &str) -> Result<Vec<String>, Failure> {
+    pub(crate) async fn scene_names(
+        server: &str,
+        credentials: &Credentials,
+    ) -> Result<Vec<String>, Failure> {
         #[derive(serde::Deserialize)]
         struct List {
             scenes: Vec<Named>,
@@ -289,7 +292,7 @@ impl Client {
         struct Named {
             name: String,
         }
-        let mut this = Self::of(server, "")?;
+        let mut this = Self::of(server, credentials, "")?;
         if let Ok(mut segments) = this.scene.path_segments_mut() {
             segments.pop_if_empty();
         }

@@ -13,7 +13,7 @@ pub(crate) const ADVICE: &str = " (--key-file or UNION3D_KEY says the key)";
 /// How to be let in.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub(crate) struct CredentialsArgs {
-    /// File with the key for the server, where that has keys [default: the variable UNION3D_KEY, if it is set]. The key is not taken
+    /// File with the key for the server, where that has keys [default: the variable `UNION3D_KEY`, if it is set]. The key is not taken
     /// as an argument, which everybody on this machine could read.
     #[arg(long, value_name = "FILE")]
     pub(crate) key_file: Option<PathBuf>,

@@ -158,7 +158,9 @@ async fn listen(
     match TcpListener::bind(&*sockets).await {
         Err(error) if error.kind() == ErrorKind::AddrInUse && asked.is_none() => {
             eprintln!("{usual} is taken (another union3d?), so this demo takes a free port.");
-            sockets.iter_mut().for_each(|socket| socket.set_port(0));
+            for socket in &mut sockets {
+                socket.set_port(0);
+            }
             TcpListener::bind(&*sockets).await.map_err(cannot)
         }
         bound => bound.map_err(cannot),

@@ -43,7 +43,7 @@ pub(crate) fn run(args: Args) -> Outcome {
     for (file, name) in files.iter().zip(names) {
         let bar = progress(name.as_str());
         let restored = data.restore(&name, file, &mut |permille| {
-            bar.set_position(permille.into())
+            bar.set_position(permille.into());
         });
         bar.finish_and_clear();
         let audit = restored?.audit;

@@ -176,7 +176,11 @@ fn access(
         config.allow_origin.clone(),
     );
     let access = Access::new(hosts, config.keys.as_deref())?;
-    let Some(why) = exposure(listening, access.has_keys(), false) else {
+    let Some(why) = exposure(
+        listening,
+        access.has_keys(),
+        config.tls_certificate.is_some(),
+    ) else {
         return Ok(access);
     };
     if config.insecure {
@@ -199,45 +203,12 @@ fn exposure(listening: [SocketAddr; 2], has_keys: bool, has_tls: bool) -> Option
     let missing = match (has_keys, has_tls) {
         (true, true) => return None,
         (false, true) => "there are no keys (--keys)",
-        (true, false) => "there is no TLS",
-        (false, false) => "there are no keys (--keys) and no TLS",
+        (true, false) => "there is no TLS (--tls-certificate)",
+        (false, false) => "there are no keys (--keys) and no TLS (--tls-certificate)",
     };
     Some(format!(
         "{address} is reached from elsewhere, and {missing}"
     ))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn only_who_is_reached_from_elsewhere_needs_keys_and_tls() {
-        let [loopback, loopback6, other, all] =
-            ["127.0.0.1:1", "[::1]:1", "192.168.0.9:1", "[::]:1"]
-                .map(|address| address.parse::<SocketAddr>().unwrap());
-        assert_eq!(exposure([loopback, loopback6], false, false), None);
-        for reached in [[loopback, other], [all, loopback], [other, all]] {
-            assert_eq!(exposure(reached, true, true), None);
-            for (has_keys, has_tls) in [(false, false), (true, false), (false, true)] {
-                let why = exposure(reached, has_keys, has_tls).unwrap();
-                assert_eq!(why.contains("--keys"), !has_keys, "{why}");
-                assert_eq!(why.contains("TLS"), !has_tls, "{why}");
-            }
-        }
-    }
-
-    #[test]
-    fn colours_are_for_terminals_of_those_who_want_them() {
-        for (is_terminal, no_color, expected) in [
-            (true, None, true),
-            (true, Some(""), true),
-            (true, Some("1"), false),
-            (false, None, false),
-        ] {
-            assert_eq!(has_colours(is_terminal, no_color.map(OsStr::new)), expected);
-        }
-    }
 }
 
 /// Logs to standard error, as configured.
@@ -282,6 +253,39 @@ async fn show_recovery(service: Service) {
                 tracing::info!(scenes, troubled = troubled.len(), "ready");
                 return;
             }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_who_is_reached_from_elsewhere_needs_keys_and_tls() {
+        let [loopback, loopback6, other, all] =
+            ["127.0.0.1:1", "[::1]:1", "192.168.0.9:1", "[::]:1"]
+                .map(|address| address.parse::<SocketAddr>().unwrap());
+        assert_eq!(exposure([loopback, loopback6], false, false), None);
+        for reached in [[loopback, other], [all, loopback], [other, all]] {
+            assert_eq!(exposure(reached, true, true), None);
+            for (has_keys, has_tls) in [(false, false), (true, false), (false, true)] {
+                let why = exposure(reached, has_keys, has_tls).unwrap();
+                assert_eq!(why.contains("--keys"), !has_keys, "{why}");
+                assert_eq!(why.contains("TLS"), !has_tls, "{why}");
+            }
+        }
+    }
+
+    #[test]
+    fn colours_are_for_terminals_of_those_who_want_them() {
+        for (is_terminal, no_color, expected) in [
+            (true, None, true),
+            (true, Some(""), true),
+            (true, Some("1"), false),
+            (false, None, false),
+        ] {
+            assert_eq!(has_colours(is_terminal, no_color.map(OsStr::new)), expected);
         }
     }
 }

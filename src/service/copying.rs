@@ -168,7 +168,7 @@ mod tests {
             let mut effect = Effect::default();
             let mut named = BTreeMap::new();
             for _ in 0..self.random.below(cubes) {
-                let corner = [(); 3].map(|()| i64::try_from(self.random.below(30)).unwrap());
+                let corner = [(); 3].map(|()| self.random.within(0, 29));
                 let place = Place::new(corner, self.edge).unwrap();
                 let is_there = self.random.below(2) == 0;
                 named.insert(CubeId(self.random.below(spread)), is_there.then_some(place));

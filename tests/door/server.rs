@@ -11,6 +11,7 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 use union3d::service::{FailHook, Readiness, Service, ServiceConfig};
+use union3d::wire::access::Access;
 use union3d::wire::door::{Door, Settings, Tls};
 use union3d::wire::http::Limits;
 use union3d::wire::{grpc, http};
@@ -56,12 +57,20 @@ impl Server {
             listener,
             service.clone(),
             limits,
+            Access::default(),
             ended,
         ));
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let grpc = listener.local_addr().unwrap().to_string();
         let ended = draining.clone();
-        tokio::spawn(grpc::serve(door, listener, service, limits, ended));
+        tokio::spawn(grpc::serve(
+            door,
+            listener,
+            service,
+            limits,
+            Access::default(),
+            ended,
+        ));
         Self {
             http,
             grpc,

@@ -28,10 +28,9 @@ pub(super) async fn get_healthz() -> Json<Health> {
 
 /// That the service answers.
 #[derive(Serialize, ToSchema)]
-pub(crate) struct Ready {
+pub(crate) struct Answering {
     /// Always true: otherwise the answer is a problem.
-    #[serde(rename = "ready")]
-    is_ready: bool,
+    ready: bool,
     /// Scenes that are stopped or damaged, of those that the key may read; without a key none, where there are keys.
     troubled: Vec<Troubled>,
     /// What those who run the server should know: that it is open to more than it should be, that the file of keys is broken.
@@ -49,11 +48,11 @@ pub(crate) struct Troubled {
 
 /// Whether all scenes are replayed
 #[utoipa::path(get, path = "/readyz", tag = "operation",
-    responses((status = 200, description = "They are", body = Ready)))]
+    responses((status = 200, description = "They are", body = Answering)))]
 pub(super) async fn get_readyz(
     State(app): State<App>,
     Extension(ticket): Extension<Ticket>,
-) -> Result<Json<Ready>, Problem> {
+) -> Result<Json<Answering>, Problem> {
     match app.service.readiness() {
         Readiness::Ready { mut troubled } => {
             troubled.retain(|(scene, _)| ticket.may_read(scene.as_str()));
@@ -61,8 +60,8 @@ pub(super) async fn get_readyz(
                 scene: scene.as_str().to_owned(),
                 cause,
             });
-            Ok(Json(Ready {
-                is_ready: true,
+            Ok(Json(Answering {
+                ready: true,
                 troubled: troubled.collect(),
                 warnings: app.access.warnings(),
             }))
