@@ -6,7 +6,6 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use parking_lot::RwLock;
 use tempfile::TempDir;
 use union3d::engine::Op;
 use union3d::geometry::{CubeId, Edge, Place};
@@ -246,7 +245,7 @@ fn named(text: &str) -> BTreeSet<String> {
 fn alerts_and_the_dashboard_ask_for_metrics_that_are_shown() {
     let readme = text("deploy/README.md");
     let table = readme.lines().filter(|line| line.starts_with("| `"));
-    let shown: BTreeSet<String> = table.flat_map(|row| named(row)).collect();
+    let shown: BTreeSet<String> = table.flat_map(named).collect();
     for path in [
         "deploy/prometheus/alerts.yaml",
         "deploy/prometheus/alerts.test.yaml",
@@ -284,14 +283,15 @@ fn every_alert_has_a_paragraph_and_a_test() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_waits_shows() {
     let data = tempfile::tempdir().unwrap();
-    let hold = Arc::new(RwLock::new(()));
+    // One that may be held while waiting.
+    let hold = Arc::new(tokio::sync::RwLock::new(()));
     let (holding, mut held_up) = tokio::sync::mpsc::unbounded_channel();
     let hook = {
         let hold = hold.clone();
         Arc::new(move |point| {
             if point == FailPoint::Append {
                 holding.send(()).unwrap();
-                drop(hold.read());
+                drop(hold.blocking_read());
             }
             None
         })
@@ -305,7 +305,7 @@ async fn what_waits_shows() {
         let (scene, _) = service.create(&name, edge, None, "{}").await.unwrap();
         scenes.push(scene);
     }
-    let held = hold.write();
+    let held = hold.write().await;
     let mut answers = Vec::new();
     let mut submit = |scene: &Arc<Scene>, id: u64| {
         let scene = scene.clone();
