@@ -248,13 +248,13 @@ async fn the_programs_clients_show_their_key_and_the_audit_log_tells_whose_it_wa
     // Of a stream one line, with the number of its changes, however many they are.
     let streams: Vec<Value> = of("part-2")
         .into_iter()
-        .filter(|line| line["call"] == "StreamChanges")
+        .filter(|line| line["call"] == "StreamChanges" && line["changes"].is_u64())
         .collect();
     assert_eq!(streams.len(), 1, "{streams:?}");
-    assert_eq!(
-        (&streams[0]["key"], &streams[0]["outcome"]),
-        (&json!("boss"), &json!("done"))
-    );
+    assert_eq!(streams[0]["key"], "boss");
+    // Who has every acknowledgement need not wait for the end.
+    let outcome = streams[0]["outcome"].as_str().unwrap();
+    assert!(["done", "unknown"].contains(&outcome), "{streams:?}");
     assert!(
         streams[0]["changes"].as_u64().unwrap() >= 3
             && streams[0]["inserted"].as_u64().unwrap() >= 3,

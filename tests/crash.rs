@@ -99,6 +99,9 @@ impl Server {
                 "127.0.0.1:0",
                 "--log-filter",
                 "warn,tower_http=off",
+                // Some of these disks are small.
+                "--disk-free-bytes-min",
+                "0",
                 "--data",
             ])
             .arg(data)

@@ -91,7 +91,13 @@ impl Site {
         let inode = metadata.ino().to_string();
         let noted = fs::read_to_string(self.identity());
         if noted.ok().as_deref() != Some(&*inode) {
-            drop(fs::write(self.identity(), inode));
+            let file = OpenOptions::new()
+                .write(true)
+                .create(true)
+                .truncate(true)
+                .mode(FILE_MODE)
+                .open(self.identity());
+            drop(file.and_then(|mut file| file.write_all(inode.as_bytes())));
         }
     }
 

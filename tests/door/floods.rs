@@ -35,7 +35,8 @@ fn get(stream: u32) -> Vec<u8> {
     let mut block = vec![0x82, 0x86];
     block.extend_from_slice(&[0x04, 8]);
     block.extend_from_slice(b"/healthz");
-    block.extend_from_slice(&[0x01, 1, b'a']);
+    block.extend_from_slice(&[0x01, 9]);
+    block.extend_from_slice(b"localhost");
     frame(HEADERS, END_STREAM | END_HEADERS, stream, &block)
 }
 

@@ -9,7 +9,7 @@ use union3d::wire::http::Limits;
 
 use crate::server::{PATIENCE, Server, Setup, call, eventually, http2, rest, status, until};
 
-const HEALTH: &str = "GET /healthz HTTP/1.1\r\nHost: a\r\n\r\n";
+const HEALTH: &str = "GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n";
 
 const SHORT: Duration = Duration::from_millis(200);
 
@@ -58,7 +58,9 @@ async fn a_head_that_does_not_come_to_its_end_is_answered_so() {
         ..Settings::default()
     })
     .await;
-    let answer = server.ask("GET /healthz HTTP/1.1\r\nHost: a\r\nX: y").await;
+    let answer = server
+        .ask("GET /healthz HTTP/1.1\r\nHost: localhost\r\nX: y")
+        .await;
     assert!(answer.starts_with("HTTP/1.1 408 "), "{answer}");
     assert!(answer.contains("/problems/request-timeout"), "{answer}");
     // The same after a request on the same connection.
@@ -82,7 +84,7 @@ async fn who_rests_is_closed_and_who_listens_is_not() {
     .await;
     server.scene("a").await;
     let mut events = server.connect().await;
-    let listen = "GET /v1/scenes/a/mass-properties/stream HTTP/1.1\r\nHost: a\r\n\r\n";
+    let listen = "GET /v1/scenes/a/mass-properties/stream HTTP/1.1\r\nHost: localhost\r\n\r\n";
     events.write_all(listen.as_bytes()).await.unwrap();
     until(&mut events, "\n\n").await;
     let stream = tokio::net::TcpStream::connect(&server.http).await.unwrap();
@@ -101,7 +103,7 @@ async fn who_rests_is_closed_and_who_listens_is_not() {
     let stream = tokio::net::TcpStream::connect(&server.grpc).await.unwrap();
     let (_requests, resting) = http2(stream).await;
     resting.await.unwrap().unwrap();
-    let change = "POST /v1/scenes/a/changes HTTP/1.1\r\nHost: a\r\nConnection: close\r\nContent-Type: application/json\r\n";
+    let change = "POST /v1/scenes/a/changes HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nContent-Type: application/json\r\n";
     let body_text = "{\"insert\":[{\"id\":1,\"at\":[0,0,0]}]}";
     let change = format!(
         "{change}Content-Length: {}\r\n\r\n{body_text}",
@@ -127,7 +129,7 @@ async fn an_answer_that_nobody_reads_does_not_stay() {
     .await;
     // The description is some hundred kilobytes; so many of them fill what the system keeps for a connection.
     let mut stream = server.connect().await;
-    let requests = "GET /openapi.json HTTP/1.1\r\nHost: a\r\n\r\n".repeat(1000);
+    let requests = "GET /openapi.json HTTP/1.1\r\nHost: localhost\r\n\r\n".repeat(1000);
     stream.write_all(requests.as_bytes()).await.unwrap();
     eventually("the connection is closed", async || {
         stream.writable().await.unwrap();
@@ -188,7 +190,7 @@ async fn a_server_that_ends_answers_what_it_was_asked() {
     let (requests, resting_too) = http2(stream).await;
     let _requests = requests.ready().await.unwrap();
     let mut changing = server.connect().await;
-    let head = "POST /v1/scenes/a/changes HTTP/1.1\r\nHost: a\r\nExpect: 100-continue\r\nContent-Type: application/json\r\n";
+    let head = "POST /v1/scenes/a/changes HTTP/1.1\r\nHost: localhost\r\nExpect: 100-continue\r\nContent-Type: application/json\r\n";
     let body = "{\"insert\":[{\"id\":1,\"at\":[0,0,0]}]}";
     let head = format!("{head}Content-Length: {}\r\n\r\n", body.len());
     changing.write_all(head.as_bytes()).await.unwrap();

@@ -93,7 +93,7 @@ impl Server {
     /// The value of a metric, with its labels as they are printed.
     pub(crate) async fn metric(&self, name: &str) -> f64 {
         let text = self
-            .ask("GET /metrics HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n")
+            .ask("GET /metrics HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
             .await;
         let line = text.lines().find_map(|line| line.strip_prefix(name));
         line.map_or(0.0, |value| value.trim().parse().unwrap())
@@ -103,7 +103,7 @@ impl Server {
     pub(crate) async fn scene(&self, name: &str) {
         let body = "{\"edge\":1,\"steps_per_unit\":1}";
         let head = format!(
-            "PUT /v1/scenes/{name} HTTP/1.1\r\nHost: a\r\nConnection: close\r\nContent-Type: application/json\r\n"
+            "PUT /v1/scenes/{name} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nContent-Type: application/json\r\n"
         );
         let length = body.len();
         let request = format!("{head}Content-Length: {length}\r\n\r\n{body}");
