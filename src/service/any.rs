@@ -3,9 +3,9 @@
 use std::ops::Deref;
 use std::sync::Arc;
 
-use super::gauges::Load;
 use super::inbox::End;
 use super::kind::SceneKind;
+use super::load::Load;
 use super::scene::{Scene, SceneOf};
 use super::solids::Solids;
 use super::{SceneName, SceneState, Seq, ServiceError};

@@ -22,9 +22,10 @@ use super::budget::Budget;
 use super::failpoint::FailHook;
 use super::feed::Feed;
 use super::gate::Gate;
-use super::gauges::{Load, Pulse};
+use super::gauges::Pulse;
 use super::inbox::{End, Inbox, Pending, Shut};
 use super::kind::SceneKind;
+use super::load::Load;
 use super::set::View;
 use super::solids::Solids;
 use super::{

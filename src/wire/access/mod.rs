@@ -4,7 +4,7 @@
 //!   request ── asked for by one of our names? ── from a page that may ask? ── whose key? ── may it do this? ── handler
 //!                     421                              403                       401            403
 //! ```
-//! What each call needs stands in one table, [`CALLS`], for both protocols. A call that is let in carries a [`Ticket`]; over
+//! What each call needs stands in one table, [`CALLS`], for both protocols. A call that is let in carries a `Ticket`; over
 //! HTTP the scene is in its path, so all of this comes before the handler; over gRPC it is in the message, which the handler reads first.
 
 mod audit;
