@@ -90,7 +90,7 @@ async fn who_rests_is_closed_and_who_listens_is_not() {
     let stream = tokio::net::TcpStream::connect(&server.http).await.unwrap();
     let (requests, _driven) = http2(stream).await;
     let mut requests = requests.ready().await.unwrap();
-    let request = axum::http::Request::get("http://a/v1/scenes/a/mass-properties/stream");
+    let request = axum::http::Request::get("http://localhost/v1/scenes/a/mass-properties/stream");
     let (answer, _) = requests
         .send_request(request.body(()).unwrap(), true)
         .unwrap();
