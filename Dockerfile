@@ -6,6 +6,7 @@ COPY proto proto
 COPY src src
 # Only for the manifests of the other members of the workspace.
 COPY tests tests
+COPY deploy/python deploy/python
 RUN cargo build --release --locked --bin union3d \
     && mkdir --mode=700 /data
 

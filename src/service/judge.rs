@@ -2,19 +2,20 @@
 
 use super::kind::SceneKind;
 use super::next_id::{IdRange, NextId};
+use super::revert::{self, Past};
 use super::{
-    CHANGE_OPERATIONS_MAX, Counting, Operations, Seq, ServiceConfig, ServiceError, meters, revert,
+    CHANGE_OPERATIONS_MAX, Counting, Operations, Seq, ServiceConfig, ServiceError, meters,
 };
 use crate::engine::{Counts, Op};
 use crate::geometry::{CubeId, Effect};
-use crate::log::{Log, LogError};
+use crate::log::{LogError, Motion};
 
 /// What a change is judged against: the state after all that was accepted before it.
-pub(super) struct Judging<'a, K: SceneKind> {
+pub(super) struct Judging<'a, K: SceneKind, P> {
     pub(super) engine: &'a K::Engine,
-    /// Seq of the engine. For a revert, of the log too.
+    /// Seq of the engine. For a revert, of the past too.
     pub(super) newest: Seq,
-    pub(super) log: &'a Log<K>,
+    pub(super) past: &'a P,
     pub(super) next_id: NextId,
     pub(super) config: &'a ServiceConfig,
 }
@@ -32,6 +33,14 @@ pub(super) struct Accepted<K: SceneKind> {
     pub(super) reverts_to: Option<Seq>,
 }
 
+impl<K: SceneKind> Accepted<K> {
+    /// Whether it takes a seq. A move that cuts nothing is a change too; but operations sent again that are done already are none.
+    pub(super) fn takes_seq(&self, motion: Motion) -> bool {
+        let is_move = motion.is_said() && self.net.unchanged == 0;
+        self.effect != Effect::default() || is_move
+    }
+}
+
 /// Why a change is not applied.
 pub(super) enum Unfit {
     /// It is refused: its client is told.
@@ -46,7 +55,7 @@ impl<E: Into<ServiceError>> From<E> for Unfit {
     }
 }
 
-impl<K: SceneKind> Judging<'_, K> {
+impl<K: SceneKind, P: Past<K>> Judging<'_, K, P> {
     /// Judges a change. O(operations); a revert, O(operations that tell its state and the newest one apart).
     pub(super) fn judge(
         &self,
@@ -67,15 +76,14 @@ impl<K: SceneKind> Judging<'_, K> {
                 (delete.chain(insert).collect(), assigned)
             }
             Operations::Revert(to) => {
-                let (newest, oldest) = (self.newest, self.log.oldest_reachable());
+                let (newest, oldest) = (self.newest, self.past.oldest_reachable());
                 if to > newest {
                     return Err(ServiceError::SeqNotReached { seq: to, newest }.into());
                 }
                 if to < oldest {
                     return Err(ServiceError::NotReachable { seq: to, oldest }.into());
                 }
-                let effect =
-                    revert::effect::<K>(self.engine, self.log, to).map_err(Unfit::Unread)?;
+                let effect = revert::effect(self.engine, self.past, to).map_err(Unfit::Unread)?;
                 weigh::<K>(&effect)?;
                 let net = Counts {
                     inserted: effect.inserted.len() as u64,

@@ -9,6 +9,7 @@
 //!          ▼                                      │
 //!        writer ── one thread: judge, apply, append with one sync, publish, answer; upkeep in between
 //!          └─ lifecycle ── open the log, replay it, serve, and again after a failure
+//!   MemoryScene ── the same judgement and answers without a log: for a program that keeps a scene in its own memory
 //! ```
 
 mod any;
@@ -26,6 +27,7 @@ mod kind;
 mod lifecycle;
 mod load;
 mod machine;
+mod memory;
 mod meters;
 mod next_id;
 mod offline;
@@ -58,6 +60,7 @@ pub use gauges::{Gauges, Spread, StateGauges};
 pub use kind::SceneKind;
 pub use load::Load;
 pub use machine::{Disk, memory_limit_bytes};
+pub use memory::MemoryScene;
 pub use meters::{Meter, describe_metrics};
 pub use offline::{AnyAudit, Offline, OfflineAudit};
 pub use reading::Reading;

@@ -7,18 +7,39 @@ use super::kind::SceneKind;
 use crate::geometry::{CubeId, Effect};
 use crate::log::{Log, LogError, Step};
 
+/// Where the changes of the past are.
+pub(super) trait Past<K: SceneKind> {
+    /// Oldest seq whose bodies can be gone back to.
+    fn oldest_reachable(&self) -> Seq;
+
+    /// Shows what leads from the newest state to that at `to`, which is reachable, in order.
+    /// # Errors
+    /// When the past cannot be read.
+    fn way_to(&self, to: Seq, visit: &mut dyn FnMut(Step<'_, K>)) -> Result<(), LogError>;
+}
+
+impl<K: SceneKind> Past<K> for Log<K> {
+    fn oldest_reachable(&self) -> Seq {
+        self.oldest_reachable()
+    }
+
+    fn way_to(&self, to: Seq, visit: &mut dyn FnMut(Step<'_, K>)) -> Result<(), LogError> {
+        self.way_to(to, visit)
+    }
+}
+
 /// The changes that tell the states at `to` and at the engine's seq, the newest, apart undone and redone, and only their net effect
-/// kept. The log still has all of them.
+/// kept. The past still has all of them.
 /// # Errors
-/// The log's.
+/// The past's.
 pub(super) fn effect<K: SceneKind>(
     engine: &K::Engine,
-    log: &Log<K>,
+    past: &impl Past<K>,
     to: Seq,
 ) -> Result<Effect<K::Body>, LogError> {
     // What each body on the way was at last.
     let mut then: HashMap<CubeId, Option<K::Body>> = HashMap::new();
-    log.way_to(to, &mut |step| {
+    past.way_to(to, &mut |step| {
         let (gone, come) = match step {
             Step::Undo(Effect { deleted, inserted }) => (inserted, deleted),
             Step::Redo(Effect { deleted, inserted }) => (deleted, inserted),

@@ -288,7 +288,7 @@ impl<K: SceneKind> Writer<K> {
             let judging = Judging {
                 engine,
                 newest,
-                log: &self.log,
+                past: &self.log,
                 next_id: self.next_id,
                 config: &scene.setup.config,
             };
@@ -385,9 +385,7 @@ impl<K: SceneKind> Writer<K> {
         } = change;
         let mut published = group.newest().unwrap_or(self.published);
         let mut volume_removed = 0;
-        // A move that cuts nothing is a change too; but operations sent again that are done already are none.
-        let is_move = motion.is_said() && accepted.net.unchanged == 0;
-        if accepted.effect != Effect::<K::Body>::default() || is_move {
+        if accepted.takes_seq(motion) {
             let before = K::removed(&published.totals);
             published = Published {
                 seq: Seq(published.seq.0 + 1),
@@ -505,7 +503,7 @@ fn replayed<K: SceneKind>(answer: &RecordedOutcome<K>) -> Applied<K> {
 }
 
 /// Milliseconds since 1970.
-fn now_ms() -> u64 {
+pub(super) fn now_ms() -> u64 {
     SystemTime::now()
         .duration_since(UNIX_EPOCH)
         .map_or(0, |since| {

@@ -28,6 +28,17 @@ pub(super) enum Sent {
     Message(Box<proto::Change>),
 }
 
+impl Sent {
+    /// Where in it an operation is.
+    pub(super) fn pointer(&self, index: usize, deletions: usize) -> String {
+        let list = match self {
+            Self::Json(_) => "insert",
+            Self::Protobuf(_) | Self::Message(_) => "insert_id",
+        };
+        format!("/{list}/{}", index.saturating_sub(deletions))
+    }
+}
+
 /// A kind of scene, as its changes are sent.
 pub(super) trait ChangedKind: ShownKind {
     /// What is larger is decoded on a thread that may take its time.
@@ -68,7 +79,7 @@ pub(super) enum Run {
 }
 
 impl Run {
-    fn of<K: Kind>(self, operations: Operations<K>) -> Operations<K> {
+    pub(super) fn of<K: Kind>(self, operations: Operations<K>) -> Operations<K> {
         match self {
             Self::Real => operations,
             Self::Dry => Operations::DryRun(Box::new(operations)),
@@ -141,7 +152,7 @@ impl<K: ChangedKind> Atomic<K> {
             Ok(applied) => return Ok(applied),
             Err(error) => error,
         };
-        let pointer = |index| self.pointer(index, deletions);
+        let pointer = |index| self.sent.pointer(index, deletions);
         let (_, conflict) = K::conflict(error, &self.settings, pointer)?;
         self.off_thread(|this| K::recheck(&this.sent, &this.settings, this.operations_max))
             .await?;
@@ -167,15 +178,6 @@ impl<K: ChangedKind> Atomic<K> {
             Sent::Json(body) | Sent::Protobuf(body) => body.len(),
             Sent::Message(message) => message.encoded_len(),
         }
-    }
-
-    /// Where in the body an operation is.
-    fn pointer(&self, index: usize, deletions: usize) -> String {
-        let list = match &self.sent {
-            Sent::Json(_) => "insert",
-            Sent::Protobuf(_) | Sent::Message(_) => "insert_id",
-        };
-        format!("/{list}/{}", index.saturating_sub(deletions))
     }
 
     /// Runs long work where it does not hold up other requests.

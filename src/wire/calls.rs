@@ -15,8 +15,9 @@ use crate::engine::solids::Body;
 use crate::geometry::convex::Point;
 use crate::geometry::{CubeId, Place};
 use crate::service::{
-    AnyScene, Applied, Counting, Cubes, HistoryRow, Motion, NamedShape, Operations, Published,
-    Scene, SceneKind, SceneName, SceneOf, Seq, Service, ServiceError, SolidScene, Submission,
+    AnyScene, Applied, Audit, Counting, Cubes, HistoryRow, Motion, NamedShape, Operations,
+    Published, Scene, SceneKind, SceneName, SceneOf, Seq, Service, ServiceError, SolidScene,
+    Submission,
 };
 
 /// The settings that a scene was given when it was created, read once in its life; none when they are in a form that is not known.
@@ -307,11 +308,19 @@ pub(super) async fn audit<K: ShownKind>(
     scene: &Arc<SceneOf<K>>,
     settings: &K::Settings,
 ) -> Result<(Seq, u64), Problem> {
-    let audit = scene.audit().await?;
+    audited(scene.name().as_str(), &scene.audit().await?, settings)
+}
+
+/// What an audit of a scene has found: the seq that it is as of, and the number of cubes.
+pub(super) fn audited<K: ShownKind>(
+    name: &str,
+    audit: &Audit<K>,
+    settings: &K::Settings,
+) -> Result<(Seq, u64), Problem> {
     if audit.is_equal() {
         return Ok((audit.seq, K::count(&audit.recounted)));
     }
-    let (name, seq) = (scene.name().as_str(), audit.seq.0);
+    let seq = audit.seq.0;
     let shown = |totals| {
         serde_json::to_value(K::properties(Some(name), Some(seq), totals, settings))
             .expect("numbers and strings are JSON")

@@ -7,6 +7,8 @@
 //!   answer  <─ http, grpc ── convert ─────── Published <────── service
 //!              every failure on the way ── problem (RFC 9457), with gRPC as a status
 //! ```
+//! `memory` answers in the same words for a scene that no service has.
+//!
 //! Knows HTTP, gRPC, JSON, protobuf and user units. Never keeps state of a scene, and never touches its files.
 
 pub mod access;
@@ -20,6 +22,7 @@ pub mod door;
 pub mod grpc;
 pub mod http;
 mod kind;
+pub mod memory;
 mod objects;
 mod open;
 pub mod problem;

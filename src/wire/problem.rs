@@ -477,6 +477,7 @@ impl From<ServiceError> for Problem {
     }
 }
 
+/// What a problem's document has beside the members that RFC 9457 names.
 #[derive(Serialize)]
 struct Extensions {
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -485,8 +486,13 @@ struct Extensions {
     members: Map<String, Value>,
 }
 
-impl IntoResponse for Problem {
-    fn into_response(self) -> Response {
+impl Problem {
+    /// The document, as it is the body of an answer.
+    pub fn json(self) -> String {
+        serde_json::to_string(&self.document()).expect("numbers and strings are JSON")
+    }
+
+    fn document(self) -> ProblemDetails<Extensions> {
         let Contents {
             code,
             detail,
@@ -494,7 +500,7 @@ impl IntoResponse for Problem {
             members,
         } = *self.0;
         let kind = code.kind();
-        let details = ProblemDetails::from_status_code(code.status())
+        ProblemDetails::from_status_code(code.status())
             .with_type(
                 Uri::try_from(format!("/problems/{}", kind.code))
                     .expect("codes are letters and hyphens"),
@@ -504,8 +510,15 @@ impl IntoResponse for Problem {
             .with_extensions(Extensions {
                 errors: faults,
                 members,
-            });
-        let mut response = details.into_response();
+            })
+    }
+}
+
+impl IntoResponse for Problem {
+    fn into_response(self) -> Response {
+        let code = self.code();
+        let kind = code.kind();
+        let mut response = self.document().into_response();
         response.extensions_mut().insert(code);
         if code == Code::Unauthenticated {
             const CHALLENGE: HeaderValue = HeaderValue::from_static("Bearer realm=\"union3d\"");

@@ -29,7 +29,7 @@ use crate::wire::solids::{SolidChange, SolidDocument};
 
 /// What a change did.
 #[derive(Serialize, ToSchema)]
-pub(crate) struct ChangeAnswer {
+pub(in crate::wire) struct ChangeAnswer {
     /// The scene's newest change: this one, unless it changed nothing.
     #[schema(example = 5)]
     seq: u64,
@@ -64,7 +64,7 @@ pub(crate) struct ChangeAnswer {
 
 /// Consecutive ids.
 #[derive(Serialize, ToSchema)]
-pub(crate) struct AssignedIds {
+pub(in crate::wire) struct AssignedIds {
     /// The first.
     first: Id,
     /// The last.
@@ -73,13 +73,21 @@ pub(crate) struct AssignedIds {
 
 /// What of the answer is wanted, and how.
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) struct Wanted {
+pub(in crate::wire) struct Wanted {
     returned: Return,
     ids: IdForm,
     run: Run,
 }
 
 impl Wanted {
+    pub(in crate::wire) fn new(returned: Return, run: Run) -> Self {
+        Self {
+            returned,
+            ids: IdForm::default(),
+            run,
+        }
+    }
+
     pub(super) fn read(parameters: Parameters) -> Result<Self, Problem> {
         let query = parameters.only(&["return", "ids"])?;
         Ok(Self {
@@ -143,6 +151,23 @@ pub(super) fn answer<K: ShownKind>(
     wanted: Wanted,
     applied: &Applied<K>,
 ) -> Answered {
+    let effect = Effect::of(applied);
+    let effect = match wanted.run {
+        Run::Dry => effect.dry(),
+        Run::Real => effect,
+    };
+    let name = Some(scene.name().as_str());
+    let document = change_answer(name, settings, wanted, applied);
+    (Extension(effect), Json(document))
+}
+
+/// What is answered to a change.
+pub(in crate::wire) fn change_answer<K: ShownKind>(
+    scene: Option<&str>,
+    settings: &K::Settings,
+    wanted: Wanted,
+    applied: &Applied<K>,
+) -> ChangeAnswer {
     let Applied {
         published,
         counts,
@@ -150,14 +175,11 @@ pub(super) fn answer<K: ShownKind>(
         volume_removed,
         ..
     } = applied;
-    let name = Some(scene.name().as_str());
     let seq = published.seq.0;
     let is_dry = wanted.run == Run::Dry;
     // What would be has no seq.
     let as_of = (!is_dry).then_some(seq);
-    let effect = Effect::of(applied);
-    let effect = if is_dry { effect.dry() } else { effect };
-    let document = ChangeAnswer {
+    ChangeAnswer {
         seq,
         dry_run: is_dry.then_some(true),
         inserted: counts.inserted,
@@ -170,9 +192,8 @@ pub(super) fn answer<K: ShownKind>(
         volume_removed: K::volume_user(*volume_removed, settings),
         volume_removed_exact: volume_removed.to_string(),
         mass_properties: (wanted.returned == Return::Representation)
-            .then(|| K::shown(K::properties(name, as_of, &published.totals, settings))),
-    };
-    (Extension(effect), Json(document))
+            .then(|| K::shown(K::properties(scene, as_of, &published.totals, settings))),
+    }
 }
 
 fn applied_answer<K: ShownKind>(

@@ -28,7 +28,7 @@ const PAGE_LIMIT: u64 = 1_000;
 const PAGE_LIMIT_MAX: u64 = 10_000;
 
 /// A row of the history, and the totals after it.
-fn entry<K: ShownKind>(
+pub(in crate::wire) fn entry<K: ShownKind>(
     scene: &str,
     row: &HistoryRow<K>,
     settings: &K::Settings,
@@ -86,7 +86,7 @@ const COLUMNS: [&str; 18] = [
 ];
 
 /// The header of CSV.
-fn csv_header<K: ShownKind>() -> Vec<String> {
+pub(in crate::wire) fn csv_header<K: ShownKind>() -> Vec<String> {
     let knows = |column: &str| {
         CHANGE_CELLS.iter().any(|(name, _)| *name == column)
             || K::Properties::CELLS.iter().any(|(name, _)| *name == column)
@@ -96,7 +96,9 @@ fn csv_header<K: ShownKind>() -> Vec<String> {
 }
 
 /// A line of CSV.
-fn csv_line<K: ShownKind>((change, totals): &(HistoryChange, K::Properties)) -> Vec<String> {
+pub(in crate::wire) fn csv_line<K: ShownKind>(
+    (change, totals): &(HistoryChange, K::Properties),
+) -> Vec<String> {
     let cell = |column: &str| {
         let of_change = CHANGE_CELLS.iter().find(|(name, _)| *name == column);
         let of_totals = K::Properties::CELLS
@@ -233,7 +235,8 @@ fn stream<K: ShownKind>(
     (VARY, [(header::CONTENT_TYPE, kind.value())], body).into_response()
 }
 
-fn csv_lines(records: impl IntoIterator<Item = Vec<String>>) -> Bytes {
+/// Lines of CSV.
+pub(in crate::wire) fn csv_lines(records: impl IntoIterator<Item = Vec<String>>) -> Bytes {
     let mut csv = csv::Writer::from_writer(Vec::new());
     for record in records {
         csv.write_record(record).expect("memory takes everything");

@@ -41,7 +41,11 @@ use tower_http::sensitive_headers::SetSensitiveRequestHeadersLayer;
 use tower_http::trace::TraceLayer;
 use utoipa_swagger_ui::SwaggerUi;
 
+pub(in crate::wire) use self::changes::{Wanted, change_answer};
 pub use self::exposition::{install_metrics, keep_metrics};
+pub(in crate::wire) use self::history::{csv_header, csv_line, csv_lines, entry};
+pub(in crate::wire) use self::reads::AuditDocument;
+pub(in crate::wire) use self::request::Return;
 use super::access::Access;
 use super::calls::{self, within};
 use super::door::{Door, Protocol};
@@ -159,8 +163,8 @@ pub async fn serve(
     door.serve(listener, Protocol::Http, router, draining).await;
 }
 
-/// The HTTP API of a service, for those who may.
-fn router(service: Service, limits: Limits, access: Access) -> Router {
+/// The HTTP API of a service, for those who may: for a program that asks it without a connection.
+pub fn router(service: Service, limits: Limits, access: Access) -> Router {
     let app = App {
         service,
         limits,

@@ -146,7 +146,7 @@ fn events<K: ShownKind>(
 
 /// A recount that agrees.
 #[derive(Serialize, ToSchema)]
-pub(crate) struct AuditDocument {
+pub(in crate::wire) struct AuditDocument {
     /// The change that it is as of.
     seq: u64,
     /// Number of cubes recounted; of a scene of cubes.
@@ -183,20 +183,32 @@ pub(super) async fn post_audit(
     body_type(&headers, &[BodyType::Json])?;
     let body = request::read(&headers, body, &app.limits, room).await?;
     decode::audit(&body.bytes)?;
-    let (seq, cubes, solids) = match scenes::open_any(&app, &name)? {
+    Ok(Json(match scenes::open_any(&app, &name)? {
         Opened::Cubes(scene, settings) => {
-            let (seq, cubes) = calls::audit(&scene, &settings).await?;
-            (seq, Some(cubes), None)
+            AuditDocument::of_cubes(calls::audit(&scene, &settings).await?)
         }
         Opened::Solids(scene, settings) => {
-            let (seq, solids) = calls::audit(&scene, &settings).await?;
-            (seq, None, Some(solids))
+            AuditDocument::of_solids(calls::audit(&scene, &settings).await?)
         }
-    };
-    Ok(Json(AuditDocument {
-        seq: seq.0,
-        cubes,
-        solids,
-        equal: true,
     }))
+}
+
+impl AuditDocument {
+    pub(in crate::wire) fn of_cubes((seq, cubes): (Seq, u64)) -> Self {
+        Self {
+            seq: seq.0,
+            cubes: Some(cubes),
+            solids: None,
+            equal: true,
+        }
+    }
+
+    pub(in crate::wire) fn of_solids((seq, solids): (Seq, u64)) -> Self {
+        Self {
+            seq: seq.0,
+            cubes: None,
+            solids: Some(solids),
+            equal: true,
+        }
+    }
 }
