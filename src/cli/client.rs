@@ -11,7 +11,7 @@ use serde_json::{Value, json, value::RawValue};
 use super::credentials::{ADVICE, Credentials};
 use union3d::geometry::Place;
 use union3d::wire::convert::{SettingsDocument, StockDocument};
-use union3d::wire::proto::Change;
+use union3d::wire::proto::{Change, ChangeBatch};
 use union3d::wire::solids::ShapeDocument;
 
 /// How long a server that cannot be reached, cannot answer yet, or acknowledges nothing more, is tried again.
@@ -32,6 +32,8 @@ pub(crate) enum Failure {
         url: Url,
         status: StatusCode,
         detail: String,
+        /// Of a batch: which change is at fault.
+        change: Option<u64>,
     },
     /// The scene cannot take these cubes.
     #[error(
@@ -194,45 +196,35 @@ impl Client {
         first_id: u64,
         places: &[Place],
     ) -> Result<Value, Failure> {
-        let mut answer = self.change(&inserted(first_id, places), None).await?;
+        let mut answer = self.change(&inserted(first_id, places)).await?;
         Ok(answer["mass_properties"].take())
     }
 
-    /// What a move of a machine does: its cubes with the ids from `first_id` on. `key` makes a second sending harmless even when
-    /// there are none. The whole answer: what the change removed, and the mass properties after it.
-    pub(crate) async fn move_and_measure(
-        &self,
-        first_id: u64,
-        places: &[Place],
-        number: u64,
-        duration: Option<f64>,
-        key: &str,
-    ) -> Result<Value, Failure> {
-        let change = Change {
-            r#move: Some(number),
-            duration,
-            ..inserted(first_id, places)
-        };
-        self.change(&change, Some(key)).await
+    /// Applies a change, durably. Sent again it must change nothing.
+    async fn change(&self, change: &Change) -> Result<Value, Failure> {
+        let url = self.below("changes");
+        let text = self.ask(self.message(url.clone(), change)).await?;
+        parse(&url, &text)
     }
 
-    /// Applies a change, durably. `key` makes a second sending harmless.
-    pub(crate) async fn change(
-        &self,
-        change: &Change,
-        key: Option<&str>,
-    ) -> Result<Value, Failure> {
-        let url = self.below("changes");
-        let mut request = self
-            .http
-            .post(url.clone())
-            .header(header::CONTENT_TYPE, "application/x-protobuf")
-            .body(Bytes::from(change.encode_to_vec()));
-        if let Some(key) = key {
-            request = request.header("Idempotency-Key", key);
+    /// Applies changes one after the other, durably; answers what each did. Their keys make a second sending harmless.
+    pub(crate) async fn batch(&self, batch: &ChangeBatch) -> Result<Vec<Value>, Failure> {
+        #[derive(serde::Deserialize)]
+        struct Answer {
+            outcomes: Vec<Value>,
         }
-        let text = self.ask(request).await?;
-        parse(&url, &text)
+        let url = self.below("changes/batch");
+        let text = self.ask(self.message(url.clone(), batch)).await?;
+        let answer = serde_json::from_str(&text);
+        let Answer { outcomes } = answer.map_err(|error| unreadable(&url, &error))?;
+        Ok(outcomes)
+    }
+
+    fn message(&self, url: Url, message: &impl Message) -> reqwest::RequestBuilder {
+        self.http
+            .post(url)
+            .header(header::CONTENT_TYPE, "application/x-protobuf")
+            .body(Bytes::from(message.encode_to_vec()))
     }
 
     /// The largest id in the scene, from the listing of all its cubes.
@@ -308,7 +300,7 @@ impl Client {
     fn below(&self, name: &str) -> Url {
         let mut url = self.scene.clone();
         if let Ok(mut segments) = url.path_segments_mut() {
-            segments.push(name);
+            segments.extend(name.split('/'));
         }
         url
     }
@@ -371,10 +363,14 @@ pub(crate) fn inserted(first_id: u64, places: &[Place]) -> Change {
 }
 
 fn parse(url: &Url, text: &str) -> Result<Value, Failure> {
-    serde_json::from_str(text).map_err(|error| Failure::Unreadable {
+    serde_json::from_str(text).map_err(|error| unreadable(url, &error))
+}
+
+fn unreadable(url: &Url, error: &serde_json::Error) -> Failure {
+    Failure::Unreadable {
         url: url.clone(),
         cause: error.to_string(),
-    })
+    }
 }
 
 /// Whether a scene that is there can take the cubes.
@@ -432,6 +428,7 @@ async fn refusal(answer: reqwest::Response) -> Failure {
         url,
         status,
         detail: detail.to_owned(),
+        change: problem["change"].as_u64(),
     }
 }
 

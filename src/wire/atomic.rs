@@ -15,7 +15,8 @@ use super::solids::SolidSettings;
 use crate::engine::{Rejected, solids};
 use crate::geometry::{CubeId, Edge};
 use crate::service::{
-    Applied, Counting, Cubes, Kind, Operations, SceneOf, ServiceError, Shapes, Solids, Submission,
+    Applied, Chain, Counting, Cubes, Kind, Operations, SceneOf, ServiceError, Shapes, Solids,
+    Submission,
 };
 
 /// A change as it was sent.
@@ -123,7 +124,7 @@ impl<K: ChangedKind> Atomic<K> {
     }
 
     /// What is submitted to the scene, and how many of its operations are deletions.
-    pub(super) async fn submission(
+    async fn submission(
         self: &Arc<Self>,
         key: Option<Box<str>>,
     ) -> Result<(Submission<K>, usize), Problem> {
@@ -142,8 +143,20 @@ impl<K: ChangedKind> Atomic<K> {
         Ok((submission, decoded.deletions))
     }
 
+    /// Queues it behind those that were queued before, as soon as there is room; what this gives waits until it is durable. Of a chain
+    /// nothing is applied after a change that was refused.
+    pub(super) async fn queued(
+        self: Arc<Self>,
+        key: Option<Box<str>>,
+        chain: Option<Chain>,
+    ) -> Result<impl Future<Output = Result<Applied<K>, Problem>> + Send + use<K>, Problem> {
+        let (submission, deletions) = self.submission(key).await?;
+        let answer = self.scene.submit(submission, chain).await?;
+        Ok(async move { self.judged(answer.await, deletions).await })
+    }
+
     /// What came of it, said in the client's words.
-    pub(super) async fn judged(
+    async fn judged(
         self: &Arc<Self>,
         answer: Result<Applied<K>, ServiceError>,
         deletions: usize,

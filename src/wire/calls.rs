@@ -140,15 +140,26 @@ pub(super) async fn remove(service: &Service, name: &str) -> Result<(), Problem>
 
 /// An idempotency key as it was sent.
 pub(super) fn idempotency_key(sent: &[u8]) -> Result<Box<str>, Problem> {
+    key(sent).map_err(|fault| {
+        let parameter = Some("Idempotency-Key".into());
+        Fault { parameter, ..fault }.into()
+    })
+}
+
+/// An idempotency key, or what is wrong with it, without its place.
+pub(super) fn key(sent: &[u8]) -> Result<Box<str>, Fault> {
     let visible = sent.iter().all(u8::is_ascii_graphic);
     match std::str::from_utf8(sent) {
         Ok(key) if visible && (1..=64).contains(&key.len()) => Ok(key.into()),
-        _ => Err(Fault::in_parameter(
-            "Idempotency-Key",
-            "is not one key of 1 to 64 visible ASCII characters",
-            &String::from_utf8_lossy(sent),
-        )
-        .into()),
+        _ => {
+            let detail = "is not one key of 1 to 64 visible ASCII characters";
+            let sent = String::from_utf8_lossy(sent);
+            let parameter = None;
+            Err(Fault {
+                parameter,
+                ..Fault::in_parameter("", detail, &sent)
+            })
+        }
     }
 }
 

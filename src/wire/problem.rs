@@ -70,7 +70,7 @@ kinds! {
     BadJson "bad-json" 400 None, "The body is not JSON",
         "`line` and `column` say where reading stopped; for a stream `line` is the line of the stream. Nothing of the change was applied.";
     BadProtobuf "bad-protobuf" 400 None, "The body is not a protobuf message",
-        "The body must be one message union3d.v1.Change.";
+        "The body must be one message union3d.v1.Change, or of a batch union3d.v1.ChangeBatch.";
     Unauthenticated "unauthenticated" 401 None, "A key is needed",
         "This server has keys, and none that it knows was sent. Send Authorization: Bearer KEY.";
     Forbidden "forbidden" 403 None, "The key has not this right",
@@ -369,6 +369,17 @@ impl Problem {
     pub fn within(mut self, place: &str) -> Self {
         self.0.detail = format!("{place}: {}", self.0.detail);
         self
+    }
+
+    /// Says of the places in it that they are below another one.
+    #[must_use]
+    pub fn below(mut self, pointer: &str) -> Self {
+        for fault in &mut self.0.faults {
+            if let Some(place) = &mut fault.pointer {
+                place.insert_str(0, pointer);
+            }
+        }
+        self.within(pointer)
     }
 
     /// Writes the ids in it as the client has asked for them: that of a conflict, and those at fault.

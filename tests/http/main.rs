@@ -1,6 +1,7 @@
 //! The HTTP API as its clients meet it: a real server on a free port of this machine, spoken to with a real client.
 
 mod access;
+mod batch;
 mod changes;
 mod described;
 mod description;

@@ -2,6 +2,7 @@
 //! tools of their own shapes.
 
 mod grpc;
+mod http;
 mod line;
 mod solids;
 mod stock;

@@ -2,11 +2,11 @@
 
 use serde_json::Value;
 use serde_json::value::{RawValue, to_raw_value};
-use uuid::Uuid;
 
 use super::super::client::{Client, SceneWanted, inserted};
 use super::super::credentials::Credentials;
 use super::grpc::{self, Done, GrpcStream};
+use super::http::{self, HttpStream, UNREADABLE};
 use super::line::{LineChange, Material};
 use super::tally::Cut;
 use union3d::engine::Engine;
@@ -21,11 +21,8 @@ pub(super) enum Target {
         next_id: u64,
     },
     Http {
-        client: Client,
+        stream: HttpStream<LineChange>,
         next_id: u64,
-        /// Names this run in the keys of its changes.
-        run: Uuid,
-        changes: u64,
     },
     Grpc {
         stream: Box<GrpcStream<LineChange>>,
@@ -44,10 +41,8 @@ impl Target {
 
     pub(super) fn http(client: Client, largest_id: u64) -> Self {
         Self::Http {
-            client,
+            stream: HttpStream::new(client),
             next_id: largest_id + 1,
-            run: Uuid::new_v4(),
-            changes: 0,
         }
     }
 
@@ -83,34 +78,14 @@ impl Target {
                 let after = Material::of(&engine.totals());
                 Ok(vec![change.cut(after.removed - before.removed, after)])
             }
-            Self::Http {
-                client,
-                next_id,
-                run,
-                changes,
-            } => {
-                *changes += 1;
-                let key = format!("{}-{changes}", run.simple());
-                let seconds = change.seconds();
-                let answer = client
-                    .move_and_measure(*next_id, &change.places, change.line, seconds, &key)
-                    .await
-                    .map_err(|failure| format!("line {}: {failure}", change.line))?;
-                *next_id += change.places.len() as u64;
-                let (removed, after) = read(&answer).ok_or(
-                    "cannot make sense of the server's answer (is it of the same version?)",
-                )?;
-                Ok(vec![change.cut(removed, after)])
+            Self::Http { stream, next_id } => {
+                let message = message(next_id, &change);
+                http_cuts(stream.send(change, message).await?)
             }
             Self::Grpc {
                 stream, next_id, ..
             } => {
-                let message = Change {
-                    r#move: Some(change.line),
-                    duration: change.seconds(),
-                    ..inserted(*next_id, &change.places)
-                };
-                *next_id += change.places.len() as u64;
+                let message = message(next_id, &change);
                 let done = stream.send(change, message).await?;
                 Ok(done.iter().map(cut).collect())
             }
@@ -128,7 +103,10 @@ impl Target {
                 let properties = convert::mass_properties(None, None, &totals, settings);
                 (vec![], to_raw_value(&properties)?)
             }
-            Self::Http { client, .. } => (vec![], client.mass_properties().await?),
+            Self::Http { stream, .. } => {
+                let (done, properties) = stream.finish().await?;
+                (http_cuts(done)?, properties)
+            }
             Self::Grpc { stream, server, .. } => {
                 let (done, answer) = stream.finish().await?;
                 let properties: MassProperties = grpc::read(&server, answer.mass_properties)?;
@@ -136,6 +114,25 @@ impl Target {
             }
         })
     }
+}
+
+/// The change that a line is in a scene, with the next ids.
+fn message(next_id: &mut u64, change: &LineChange) -> Change {
+    let first_id = *next_id;
+    *next_id += change.places.len() as u64;
+    Change {
+        r#move: Some(change.line),
+        duration: change.seconds(),
+        ..inserted(first_id, &change.places)
+    }
+}
+
+fn http_cuts(done: Vec<http::Done<LineChange>>) -> Result<Vec<Cut>, Box<dyn std::error::Error>> {
+    let cut = |done: http::Done<LineChange>| {
+        let (removed, after) = read(&done.answer).ok_or(UNREADABLE)?;
+        Ok(done.what.cut(removed, after))
+    };
+    done.into_iter().map(cut).collect()
 }
 
 fn cut(done: &Done<LineChange>) -> Cut {

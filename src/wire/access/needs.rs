@@ -57,6 +57,7 @@ pub const CALLS: &[Call] = &[
     both("CreateScene", "PUT /v1/scenes/{scene}", ADMIN),
     both("DeleteScene", "DELETE /v1/scenes/{scene}", ADMIN),
     both("ApplyChange", "POST /v1/scenes/{scene}/changes", WRITE),
+    http("ApplyBatch", "POST /v1/scenes/{scene}/changes/batch", WRITE),
     both("StreamChanges", "", WRITE),
     both("RevertScene", "POST /v1/scenes/{scene}/revert", WRITE),
     both(

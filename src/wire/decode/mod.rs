@@ -1,5 +1,6 @@
 //! Bytes to operations: JSON, lines of JSON, protobuf. Nothing is submitted that has a fault.
 
+mod batch;
 mod change;
 mod json;
 mod message;
@@ -12,6 +13,7 @@ use std::cell::{Cell, RefCell};
 
 use serde::Deserialize;
 
+pub(super) use self::batch::{Keyed, batch, batch_message};
 pub use self::change::{change, change_faults, file_line, line};
 pub use self::message::{
     change_message, change_message_duplicates, message, message_duplicates, settings_message,

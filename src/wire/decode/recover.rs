@@ -254,6 +254,14 @@ impl<'de> Deserializer<'de> for Recovering<'_, 'de> {
         visitor.visit_u64(id.unwrap_or_default())
     }
 
+    /// What is read elsewhere.
+    fn deserialize_ignored_any<V: Visitor<'de>>(
+        self,
+        visitor: V,
+    ) -> Result<V::Value, Interrupted> {
+        visitor.visit_unit()
+    }
+
     fn deserialize_u64<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Interrupted> {
         let whole = self.value(|raw| decimal(raw.get()).ok_or(NO_WHOLE_NUMBER));
         visitor.visit_u64(whole.unwrap_or_default())
@@ -448,7 +456,6 @@ impl<'de> Deserializer<'de> for Recovering<'_, 'de> {
 
     forward_to_deserialize_any! {
         bool i8 i16 i32 i64 i128 u8 u32 u128 f32 char bytes byte_buf unit unit_struct tuple_struct identifier
-        ignored_any
     }
 }
 

@@ -289,8 +289,6 @@ impl<K: MessageKind> Reader<K> {
             sent,
             self.cubes_max,
         );
-        let (submission, deletions) = atomic.submission(key).await?;
-        let answer = self.scene.submit(submission, self.chain.clone()).await?;
-        Ok(async move { atomic.judged(answer.await, deletions).await })
+        atomic.queued(key, self.chain.clone()).await
     }
 }

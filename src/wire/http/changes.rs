@@ -37,6 +37,11 @@ pub(in crate::wire) struct ChangeAnswer {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
     dry_run: Option<bool>,
+    /// Always true: this is the recorded answer to an earlier change with the same key. In the answer to a batch; elsewhere the header
+    /// `Idempotency-Replayed` says it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    replayed: Option<bool>,
     /// Cubes or solids inserted.
     #[schema(example = 1)]
     inserted: u64,
@@ -77,6 +82,16 @@ pub(in crate::wire) struct Wanted {
     returned: Return,
     ids: IdForm,
     run: Run,
+}
+
+impl ChangeAnswer {
+    /// In the answer to a batch.
+    pub(super) fn replayed(self, replayed: bool) -> Self {
+        Self {
+            replayed: replayed.then_some(true),
+            ..self
+        }
+    }
 }
 
 impl Wanted {
@@ -137,6 +152,11 @@ impl Wanted {
         }
     }
 
+    /// How ids are written.
+    pub(super) fn ids(self) -> IdForm {
+        self.ids
+    }
+
     fn id(self, id: CubeId) -> Id {
         Id { id, form: self.ids }
     }
@@ -182,6 +202,7 @@ pub(in crate::wire) fn change_answer<K: ShownKind>(
     ChangeAnswer {
         seq,
         dry_run: is_dry.then_some(true),
+        replayed: None,
         inserted: counts.inserted,
         deleted: counts.deleted,
         unchanged: counts.unchanged,
@@ -418,7 +439,7 @@ enum AnyBody {
     dead_code,
     reason = "it stands in the description; each is read by what the scene is"
 )]
-enum AnyChange {
+pub(super) enum AnyChange {
     /// Of cubes.
     Cubes(Change),
     /// Of solids.

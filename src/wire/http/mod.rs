@@ -6,6 +6,7 @@
 
 mod admission;
 mod backup;
+mod batch;
 mod changes;
 mod contains;
 mod cubes;
@@ -133,6 +134,7 @@ fn bounded_routes() -> Vec<Route> {
 fn unbounded_routes() -> Vec<Route> {
     vec![
         ("/v1/scenes/{scene}/changes", post(changes::post_changes)),
+        ("/v1/scenes/{scene}/changes/batch", post(batch::post_batch)),
         ("/v1/scenes/{scene}/revert", post(changes::post_revert)),
         ("/v1/scenes/{scene}/shapes/{shape}", put(solids::put_shape)),
         (

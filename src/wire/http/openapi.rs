@@ -18,7 +18,7 @@ use utoipa::{Modify, OpenApi};
 
 use super::problem::ProblemDocument;
 use super::{
-    backup, changes, contains, cubes, exposition, history, operate, reads, scenes, solids,
+    backup, batch, changes, contains, cubes, exposition, history, operate, reads, scenes, solids,
 };
 use crate::wire::access::{Need, of_http};
 use crate::wire::problem::{Code, Kind};
@@ -32,7 +32,7 @@ use crate::wire::problem::{Code, Kind};
     ),
     paths(
         scenes::put_scene, scenes::get_scenes, scenes::get_scene, scenes::delete_scene,
-        changes::post_changes, changes::post_revert, changes::delete_cube,
+        changes::post_changes, batch::post_batch, changes::post_revert, changes::delete_cube,
         reads::get_mass_properties, reads::stream_mass_properties, history::get_history, reads::post_audit,
         backup::get_backup,
         cubes::get_cube, cubes::get_cubes, contains::get_contains,
@@ -229,6 +229,17 @@ fn failures(operation: &str) -> &'static [Code] {
             SceneFull,
             KeyReused,
             QueueFull,
+            MemoryUsed,
+        ],
+        "post_batch" => &[
+            BadJson,
+            BadProtobuf,
+            RequestTimeout,
+            IdConflict,
+            TooLarge,
+            UnsupportedMediaType,
+            SceneFull,
+            KeyReused,
             MemoryUsed,
         ],
         "post_revert" => &[

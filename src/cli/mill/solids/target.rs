@@ -6,11 +6,11 @@ use serde_json::Value;
 use union3d::engine::solids::{self, SolidId};
 use union3d::wire::proto::Change;
 use union3d::wire::solids::{Scale, SolidMeasures, SolidProperties, solid_properties};
-use uuid::Uuid;
 
 use super::super::super::client::Client;
 use super::super::super::credentials::Credentials;
 use super::super::grpc::{self, Done, GrpcStream};
+use super::super::http::{self, HttpStream, UNREADABLE};
 use super::super::line::Material as State;
 use super::super::tally::{self, Kind, ToolCut};
 use super::Failure;
@@ -32,10 +32,7 @@ pub(super) enum Target {
         passes: usize,
     },
     Http {
-        client: Client,
-        /// Names this run in the keys of its changes.
-        run: Uuid,
-        changes: u64,
+        stream: Box<HttpStream<Told>>,
         defined: Defined,
         watch: Box<Watch>,
     },
@@ -102,9 +99,7 @@ impl Target {
             None => wanted.create_http(&client).await?,
         };
         Ok(Self::Http {
-            client,
-            run: Uuid::new_v4(),
-            changes: 0,
+            stream: Box::new(HttpStream::new(client)),
             defined: Defined::default(),
             watch: Box::new(Watch::new(blank.clone(), found.seq)),
         })
@@ -146,25 +141,16 @@ impl Target {
                 Ok(cut_together(material, &std::mem::take(waiting))?)
             }
             Self::Http {
-                client,
-                run,
-                changes,
+                stream,
                 defined,
                 watch,
             } => {
                 for cut in stroke.cuts() {
+                    let client = stream.client();
                     defined.define_http(client, &cut.carried.swept).await?;
                 }
-                *changes += 1;
-                let key = format!("{}-{changes}", run.simple());
                 let told = Told::of(&stroke, watch.hit(&stroke)?);
-                let answer = client.change(&change(&stroke)?, Some(&key)).await;
-                let answer =
-                    answer.map_err(|failure| format!("line {}: {failure}", stroke.line))?;
-                let (seq, removed, after) = read(&answer).ok_or(
-                    "cannot make sense of the server's answer (is it of the same version?)",
-                )?;
-                Ok(vec![told.cut(removed, after, watch.note(seq), None)])
+                watch.http(stream.send(told, change(&stroke)?).await?)
             }
             Self::Grpc {
                 stream,
@@ -205,9 +191,11 @@ impl Target {
                 let removed = of(&totals);
                 (cuts, Measured { removed, remaining })
             }
-            Self::Http { client, .. } => {
-                let answer = client.mass_properties().await?;
-                (vec![], Measured::read(answer.get())?)
+            Self::Http {
+                stream, mut watch, ..
+            } => {
+                let (done, answer) = stream.finish().await?;
+                (watch.http(done)?, Measured::read(answer.get())?)
             }
             Self::Grpc {
                 stream,
@@ -299,6 +287,15 @@ impl Watch {
     fn note(&mut self, seq: u64) -> bool {
         self.seq = self.seq.filter(|before| before + 1 == seq).map(|_| seq);
         self.seq.is_some()
+    }
+
+    /// What was done over HTTP.
+    fn http(&mut self, done: Vec<http::Done<Told>>) -> Result<Vec<tally::Cut>, Failure> {
+        let cut = |done: http::Done<Told>| {
+            let (seq, removed, after) = read(&done.answer).ok_or(UNREADABLE)?;
+            Ok(done.what.cut(removed, after, self.note(seq), None))
+        };
+        done.into_iter().map(cut).collect()
     }
 
     fn done(&mut self, done: Done<Told>) -> tally::Cut {
