@@ -21,7 +21,7 @@ use union3d::engine::recount;
 use union3d::wire::convert::{Settings, SettingsDocument, mass_properties};
 use union3d::wire::proto::union_service_server::{UnionService, UnionServiceServer};
 use union3d::wire::proto::{
-    self, Acknowledged, Change, Outcome, Volumes, stream_changes_request as request,
+    self, Acknowledged, Change, ChangeBatch, Outcome, Volumes, stream_changes_request as request,
     stream_changes_response as response,
 };
 
@@ -386,12 +386,12 @@ fn people_get_a_table() {
     }
 }
 
-/// A server that answers like union3d's and is difficult about it: it is busy at every third change.
+/// A server that answers like union3d's and is difficult about it: every batch has to be sent twice.
 #[derive(Default)]
 struct Difficult {
     settings: Option<Value>,
     cubes: BTreeMap<u64, [i32; 3]>,
-    changes: u64,
+    batches: u64,
     /// Sizes of the changes taken.
     sizes: Vec<usize>,
     /// What they said of the machine.
@@ -410,7 +410,7 @@ fn difficult(state: &Shared) -> (tokio::runtime::Runtime, String) {
     let router = Router::new()
         .route("/v1/scenes/{scene}", get(describe).put(create))
         .route("/v1/scenes/{scene}/cubes", get(list))
-        .route("/v1/scenes/{scene}/changes", post(change))
+        .route("/v1/scenes/{scene}/changes/batch", post(batch))
         .route("/v1/scenes/{scene}/mass-properties", get(totals))
         .with_state(Arc::clone(state));
     runtime.spawn(async move { axum::serve(listener, router).await });
@@ -451,20 +451,19 @@ async fn list(State(state): State<Shared>, headers: HeaderMap) -> String {
         .collect()
 }
 
-async fn change(State(state): State<Shared>, headers: HeaderMap, body: Bytes) -> impl IntoResponse {
+async fn batch(State(state): State<Shared>, headers: HeaderMap, body: Bytes) -> impl IntoResponse {
     assert_eq!(headers["content-type"], "application/x-protobuf");
     let mut state = state.lock().unwrap();
-    state.changes += 1;
+    state.batches += 1;
     if state.refuse_all {
-        let problem =
-            json!({"title": "unprocessable", "status": 422, "detail": "nothing is good enough"});
+        let problem = json!({"title": "unprocessable", "status": 422, "detail": "nothing is good enough", "change": 0});
         return (
             StatusCode::UNPROCESSABLE_ENTITY,
             HeaderMap::new(),
             Json(problem),
         );
     }
-    if state.changes.is_multiple_of(3) {
+    if !state.batches.is_multiple_of(2) {
         let retry = HeaderMap::from_iter([("retry-after".parse().unwrap(), "0".parse().unwrap())]);
         return (
             StatusCode::TOO_MANY_REQUESTS,
@@ -472,22 +471,26 @@ async fn change(State(state): State<Shared>, headers: HeaderMap, body: Bytes) ->
             Json(json!({"title": "busy", "status": 429})),
         );
     }
-    assert!(headers["idempotency-key"].len() > 32, "a retry acts once");
-    let change = Change::decode(body).unwrap();
-    state.sizes.push(change.x.len());
-    state.moves.push((change.r#move, change.duration));
-    for (index, id) in change.insert_id.iter().enumerate() {
-        let at = [change.x[index], change.y[index], change.z[index]];
-        assert_eq!(state.cubes.insert(*id, at), None, "id {id} came twice");
-    }
+    let batch = ChangeBatch::decode(body).unwrap();
+    let outcomes = batch.changes.into_iter().map(|keyed| {
+        assert!(keyed.idempotency_key().len() > 32, "a retry acts once");
+        let change = keyed.change.unwrap();
+        state.sizes.push(change.x.len());
+        state.moves.push((change.r#move, change.duration));
+        for (index, id) in change.insert_id.iter().enumerate() {
+            let at = [change.x[index], change.y[index], change.z[index]];
+            assert_eq!(state.cubes.insert(*id, at), None, "id {id} came twice");
+        }
+        json!({
+            "seq": state.sizes.len(),
+            "volume_removed_exact": change.insert_id.len().to_string(),
+            "mass_properties": properties("my-pocket", &state),
+        })
+    });
     (
         StatusCode::OK,
         HeaderMap::new(),
-        Json(json!({
-            "seq": state.changes,
-            "volume_removed_exact": change.insert_id.len().to_string(),
-            "mass_properties": properties("my-pocket", &state),
-        })),
+        Json(json!({ "outcomes": outcomes.collect::<Vec<Value>>() })),
     )
 }
 
@@ -593,7 +596,12 @@ fn what_a_server_refuses_is_said() {
     state.lock().unwrap().refuse_all = true;
     to_server(
         &url,
-        &["422", "nothing is good enough", "/v1/scenes/a/changes"],
+        &[
+            "line 1: ",
+            "422",
+            "nothing is good enough",
+            "/v1/scenes/a/changes/batch",
+        ],
     );
     state.lock().unwrap().settings = Some(json!({"edge": 3, "steps_per_unit": 1000, "unit": "mm"}));
     to_server(

@@ -255,10 +255,7 @@ impl<'de> Deserializer<'de> for Recovering<'_, 'de> {
     }
 
     /// What is read elsewhere.
-    fn deserialize_ignored_any<V: Visitor<'de>>(
-        self,
-        visitor: V,
-    ) -> Result<V::Value, Interrupted> {
+    fn deserialize_ignored_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Interrupted> {
         visitor.visit_unit()
     }
 
