@@ -33,7 +33,7 @@ pub(crate) enum Failure {
         status: StatusCode,
         detail: String,
         /// Of a batch: which change is at fault.
-        change: Option<u64>,
+        change: Option<u16>,
     },
     /// The scene cannot take these cubes.
     #[error(
@@ -428,7 +428,9 @@ async fn refusal(answer: reqwest::Response) -> Failure {
         url,
         status,
         detail: detail.to_owned(),
-        change: problem["change"].as_u64(),
+        change: problem["change"]
+            .as_u64()
+            .and_then(|index| index.try_into().ok()),
     }
 }
 

@@ -131,7 +131,7 @@ fn line(batch: &ChangeBatch, failure: &Failure) -> String {
     let Failure::Refused { change, .. } = failure else {
         return String::new();
     };
-    let change = change.and_then(|index| batch.changes.get(usize::try_from(index).ok()?));
+    let change = change.and_then(|index| batch.changes.get(usize::from(index)));
     let line = change.and_then(|keyed| keyed.change.as_ref()?.r#move);
     line.map_or_else(String::new, |line| format!("line {line}: "))
 }

@@ -7,18 +7,12 @@ use serde::de::IgnoredAny;
 use serde_json::value::RawValue;
 
 use super::json;
-use crate::wire::atomic::Sent;
 use crate::wire::calls;
 use crate::wire::problem::{Code, Fault, Problem};
 use crate::wire::proto;
 
-/// A change as it was sent, and its key.
-pub(in crate::wire) struct Keyed {
-    /// The change.
-    pub(in crate::wire) sent: Sent,
-    /// What makes sending it again safe.
-    pub(in crate::wire) key: Option<Box<str>>,
-}
+/// A change as it was sent, and the key that makes sending it again safe.
+pub(in crate::wire) type Keyed<C> = (C, Option<Box<str>>);
 
 /// A body of changes, which are read later or not at all.
 #[derive(Deserialize)]
@@ -38,7 +32,10 @@ struct KeyedChange<C> {
 /// Reads a batch from JSON: `{"changes":[{"change":{..},"idempotency_key":".."}]}`. The changes in it are not looked at.
 /// # Errors
 /// [`Code::BadJson`], [`Code::TooLarge`] above `changes_max`, or [`Code::Invalid`] with every fault outside of the changes.
-pub(in crate::wire) fn batch(body: &Bytes, changes_max: usize) -> Result<Vec<Keyed>, Problem> {
+pub(in crate::wire) fn batch(
+    body: &Bytes,
+    changes_max: usize,
+) -> Result<Vec<Keyed<Bytes>>, Problem> {
     if let Ok(batch) = serde_json::from_slice::<Batch<&RawValue>>(body) {
         return keyed(
             batch,
@@ -67,12 +64,12 @@ fn keyed(
     Batch { changes }: Batch<&RawValue>,
     bytes: impl Fn(&RawValue) -> Bytes,
     changes_max: usize,
-) -> Result<Vec<Keyed>, Problem> {
-    let changes = changes.into_iter().map(|change| {
-        let sent = Sent::Json(bytes(change.change));
-        (sent, change.idempotency_key)
-    });
-    collected(changes, changes_max)
+) -> Result<Vec<Keyed<Bytes>>, Problem> {
+    let changes = changes.into_iter();
+    collected(
+        changes.map(|keyed| (bytes(keyed.change), keyed.idempotency_key)),
+        changes_max,
+    )
 }
 
 /// Reads a batch from a message `union3d.v1.ChangeBatch`. The changes in it are not looked at.
@@ -81,20 +78,20 @@ fn keyed(
 pub(in crate::wire) fn batch_message(
     body: &Bytes,
     changes_max: usize,
-) -> Result<Vec<Keyed>, Problem> {
+) -> Result<Vec<Keyed<proto::Change>>, Problem> {
     let batch = proto::ChangeBatch::decode(body.as_ref())
         .map_err(|error| Problem::new(Code::BadProtobuf, error.to_string()))?;
-    let changes = batch.changes.into_iter().map(|keyed| {
-        let sent = Sent::Message(Box::new(keyed.change.unwrap_or_default()));
-        (sent, keyed.idempotency_key)
-    });
-    collected(changes, changes_max)
+    let changes = batch.changes.into_iter();
+    collected(
+        changes.map(|keyed| (keyed.change.unwrap_or_default(), keyed.idempotency_key)),
+        changes_max,
+    )
 }
 
-fn collected(
-    changes: impl ExactSizeIterator<Item = (Sent, Option<String>)>,
+fn collected<C>(
+    changes: impl ExactSizeIterator<Item = (C, Option<String>)>,
     changes_max: usize,
-) -> Result<Vec<Keyed>, Problem> {
+) -> Result<Vec<Keyed<C>>, Problem> {
     if changes.len() > changes_max {
         let detail = format!(
             "the batch has {} changes; the most is {changes_max}",
@@ -102,13 +99,13 @@ fn collected(
         );
         return Err(Problem::new(Code::TooLarge, detail));
     }
-    let changes = changes.enumerate().map(|(index, (sent, key))| {
+    let changes = changes.enumerate().map(|(index, (change, key))| {
         let key = key.map(|key| calls::key(key.as_bytes())).transpose();
         let key = key.map_err(|fault| Fault {
             pointer: Some(format!("/changes/{index}/idempotency_key")),
             ..fault
         })?;
-        Ok(Keyed { sent, key })
+        Ok((change, key))
     });
     changes.collect()
 }

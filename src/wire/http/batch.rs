@@ -16,7 +16,7 @@ use super::request::{
 use super::{App, scenes};
 use crate::service::{Chain, SceneOf};
 use crate::wire::access::{Effect, Ticket};
-use crate::wire::atomic::{Atomic, ChangedKind};
+use crate::wire::atomic::{Atomic, ChangedKind, Sent};
 use crate::wire::calls;
 use crate::wire::decode::{self, Keyed};
 use crate::wire::documents::IdForm;
@@ -76,11 +76,15 @@ pub(super) async fn post_batch(
     let opened = scenes::open_any(&app, &name)?;
     // The memory that it takes is given back when it is answered.
     let body = request::read(&headers, body, &app.limits, room).await?;
-    let changes = match kind {
-        BodyType::Protobuf => decode::batch_message(&body.bytes, BATCH_CHANGES_MAX),
-        _ => decode::batch(&body.bytes, BATCH_CHANGES_MAX),
+    let changes: Vec<Keyed<Sent>> = if kind == BodyType::Protobuf {
+        let changes = decode::batch_message(&body.bytes, BATCH_CHANGES_MAX)?.into_iter();
+        let sent = |change| Sent::Message(Box::new(change));
+        changes.map(|(change, key)| (sent(change), key)).collect()
+    } else {
+        let changes = decode::batch(&body.bytes, BATCH_CHANGES_MAX)?.into_iter();
+        let sent = |(change, key)| (Sent::Json(change), key);
+        changes.map(sent).collect()
     };
-    let changes = changes?;
     let answered = match opened {
         Opened::Cubes(scene, settings) => {
             apply(&app, &ticket, (scene, settings), wanted, changes).await
@@ -100,13 +104,13 @@ async fn apply<K: ChangedKind>(
     ticket: &Ticket,
     (scene, settings): (Arc<SceneOf<K>>, Arc<K::Settings>),
     wanted: Wanted,
-    changes: Vec<Keyed>,
+    changes: Vec<Keyed<Sent>>,
 ) -> Result<Vec<ChangeAnswer>, Problem> {
     let (time, operations_max) = (app.limits.request_timeout, app.limits.change_cubes_max);
     let chain = Chain::default();
     let mut queued = Vec::with_capacity(changes.len());
     let mut refused = None;
-    for (index, Keyed { sent, key }) in changes.into_iter().enumerate() {
+    for (index, (sent, key)) in changes.into_iter().enumerate() {
         let atomic = Atomic::new(scene.clone(), settings.clone(), sent, operations_max);
         match calls::within(time, atomic.queued(key, Some(chain.clone()))).await {
             Ok(judged) => queued.push(judged),
