@@ -301,6 +301,53 @@ fn deletions_act_among_many_cubes_without_ids() {
     check(input, [69_999.0, 69_999.0, 6.0 * 69_999.0, 12.0 * 69_999.0]);
 }
 
+/// A corner of the first cube reaches into the block, and half of the second.
+#[test]
+fn a_stock_is_measured_as_what_is_removed_and_what_remains() {
+    let arguments = ["--edge", "2", "--stock", "1,1,1:5,5,5"];
+    let cubes = "0,0,0\n4,2,2\n";
+    let found = properties(&arguments, cubes.as_bytes());
+    assert_eq!(found["volume"], 16.0);
+    assert_eq!(found["removed"]["volume"], 5.0);
+    assert_eq!(found["remaining"]["volume"], 59.0);
+    assert_eq!(found["removed"]["area"], 6.0 + 16.0);
+    let output = measure(&[&["-"], &arguments[..]].concat(), cubes.as_bytes());
+    let table = String::from_utf8(output.stdout).unwrap();
+    assert!(
+        table.contains("remaining             59 unit^3, area "),
+        "{table}"
+    );
+    // The same bodies as solids.
+    let solids = r#"{"hull":[[0,0,0],[2,0,0],[0,2,0],[2,2,0],[0,0,2],[2,0,2],[0,2,2],[2,2,2]]}
+{"hull":[[4,2,2],[6,2,2],[4,4,2],[6,4,2],[4,2,4],[6,2,4],[4,4,4],[6,4,4]]}"#;
+    let arguments = ["--kind", "solids", "--stock", "1,1,1:5,5,5"];
+    let same = properties(&arguments, solids.as_bytes());
+    for part in ["removed", "remaining"] {
+        for measure in ["volume", "area", "mass", "centroid"] {
+            assert_eq!(
+                same[part][measure], found[part][measure],
+                "{part} {measure}"
+            );
+        }
+        assert_eq!(
+            same[part]["edge_length"]["total"],
+            found[part]["edge_length"]["total"]
+        );
+    }
+    // Of a round bar: 128 sides, of the area of the circle.
+    let bar = ["--kind", "solids", "--stock", "cylinder:0,0,0:10x4"];
+    let found = properties(&bar, b"");
+    let volume = found["remaining"]["volume"].as_f64().unwrap();
+    assert!((volume / (25.0 * std::f64::consts::PI * 4.0) - 1.0).abs() < 1e-4);
+    for (stock, words) in [
+        ("0,0,0:1,1", "two corners"),
+        ("0,0,0:1,0,1", "--stock"),
+        ("cylinder:0,0,0:10x4", "a box only"),
+    ] {
+        check_refused(&["-", "--edge", "2", "--stock", stock], cubes, &[words]);
+    }
+}
+
 #[test]
 fn bad_arguments_are_named() {
     check_refused(&["-"], "", &["--edge"]);

@@ -13,10 +13,11 @@ use std::process::ExitCode;
 use clap::ValueEnum;
 
 use self::batches::{Batches, union_of};
+use super::stock::{self, StockForm};
 use super::{Outcome, input, progress, report, solids};
 use union3d::engine::Op;
 use union3d::geometry::{InvalidCube, Place};
-use union3d::wire::convert::{self, Anchor, Settings, SettingsDocument};
+use union3d::wire::convert::{self, Anchor, Settings, SettingsDocument, StockDocument};
 use union3d::wire::decode;
 use union3d::wire::documents::{LineOperation, NewCube};
 use union3d::wire::problem::Problem;
@@ -57,7 +58,7 @@ at; or {\"box\":[x,y,z]}, {\"box\":{\"min\":..,\"max\":..}}, {\"hull\":[..]}, or
   curl -H 'accept: application/x-ndjson' http://127.0.0.1:7373/v1/scenes/pocket/cubes |
     union3d measure - --edge 3.175 --json
   union3d measure left.stl right.stl
-  union3d measure sweeps.ndjson --kind solids --steps-per-unit 10000"
+  union3d measure sweeps.ndjson --kind solids --steps-per-unit 10000 --stock 0,0,-10:80,60,0"
 )]
 pub(crate) struct Args {
     /// The cubes, in one file, or the solids; - is standard input.
@@ -72,6 +73,10 @@ pub(crate) struct Args {
     /// Lattice steps in a user unit: positions are rounded to them.
     #[arg(long, value_name = "STEPS", default_value_t = 1000)]
     steps_per_unit: u32,
+    /// Measures what they remove from a block of material, too, and what remains of it: a box, MIN:MAX; for solids also
+    /// cylinder:BASE:DIAMETERxHEIGHT or hull:POINT:POINT:.., in user units.
+    #[arg(long, value_name = "STOCK", value_parser = stock::parse, allow_hyphen_values = true)]
+    stock: Option<StockForm>,
     /// What the positions of cubes in CSV and NDJSON are.
     #[arg(long, value_enum, default_value_t = At::Corner)]
     anchor: At,
@@ -147,6 +152,10 @@ fn measure_solids(args: &Args) -> Outcome {
     solids::measure(&solids::Request {
         files: files?,
         steps_per_unit: args.steps_per_unit,
+        stock: args
+            .stock
+            .as_ref()
+            .filter(|form| **form != StockForm::Nothing),
         json: args.json,
     })
 }
@@ -156,6 +165,7 @@ fn measure_cubes(args: Args) -> Outcome {
         files,
         edge,
         steps_per_unit,
+        stock,
         anchor,
         format,
         json,
@@ -164,7 +174,10 @@ fn measure_cubes(args: Args) -> Outcome {
     let [file] = <[PathBuf; 1]>::try_from(files)
         .map_err(|_| "cubes are measured one file at a time; --kind solids takes several")?;
     let edge = edge.ok_or("--edge is missing: cubes have one; --kind solids measures solids")?;
+    let stock = stock.filter(|form| *form != StockForm::Nothing);
+    let stock = stock.as_ref().map(StockForm::corners).transpose()?;
     let wanted = SettingsDocument {
+        stock: stock.map(|[min, max]| StockDocument { min, max }),
         steps_per_unit: steps_per_unit.into(),
         anchor: match anchor {
             At::Corner => Anchor::Corner,
@@ -194,7 +207,8 @@ fn measure_cubes(args: Args) -> Outcome {
         writeln!(output, "{}", serde_json::to_string(&properties)?)?;
     } else {
         let properties = serde_json::to_value(&properties)?;
-        write!(output, "{}", report::table(&properties, "unit"))?;
+        let table = report::table(&properties, "unit");
+        write!(output, "{table}{}", report::parts(&properties, "unit"))?;
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -17,6 +17,7 @@ mod report;
 mod restore;
 mod serve;
 mod solids;
+mod stock;
 
 use std::process::ExitCode;
 

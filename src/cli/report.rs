@@ -87,6 +87,24 @@ pub(crate) fn table(properties: &Value, unit: &str) -> String {
     text
 }
 
+/// What of a stock is removed and what remains, in the same form; nothing where there is none.
+pub(crate) fn parts(properties: &Value, unit: &str) -> String {
+    let mut text = String::new();
+    for part in ["removed", "remaining"] {
+        let measures = &properties[part];
+        if !measures.is_null() {
+            let [volume, area] = ["volume", "area"].map(|name| figure(&measures[name]));
+            let edges = figure(&measures["edge_length"]["total"]);
+            writeln!(
+                text,
+                "{part:<22}{volume} {unit}^3, area {area} {unit}^2, edge length {edges} {unit}"
+            )
+            .expect("a string takes everything");
+        }
+    }
+    text
+}
+
 /// Three numbers, or a dash where there are none.
 fn triple(value: &Value) -> String {
     match value.as_array() {

@@ -8,11 +8,13 @@ use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
+use super::stock::StockForm;
 use super::{Outcome, input, progress, report};
 use union3d::engine::solids::{Body, Engine, Op, Rejected, SolidId};
 use union3d::geometry::convex::Deviation;
 use union3d::wire::solids::{
-    self, Scale, ShapeDocument, Shapes, SolidDocument, SolidFault, solid_properties, stl_body,
+    self, ReadStock, Scale, ShapeDocument, Shapes, SolidDocument, SolidFault,
+    solid_scene_properties, stl_body,
 };
 
 /// Operations judged and applied together.
@@ -27,10 +29,12 @@ const STL_BYTES_MAX: u64 = 256 << 20;
 type Failure = Box<dyn std::error::Error>;
 
 /// What is asked for.
-pub(crate) struct Request {
+pub(crate) struct Request<'a> {
     /// The files; each is STL or NDJSON.
     pub(crate) files: Vec<(PathBuf, Format)>,
     pub(crate) steps_per_unit: u32,
+    /// The material that they are cut to.
+    pub(crate) stock: Option<&'a StockForm>,
     /// Print the object of mass properties alone.
     pub(crate) json: bool,
 }
@@ -45,10 +49,11 @@ pub(crate) enum Format {
 }
 
 /// Measures the union of all solids of all files.
-pub(crate) fn measure(request: &Request) -> Outcome {
+pub(crate) fn measure(request: &Request<'_>) -> Outcome {
     let scale = Scale::new(request.steps_per_unit)
         .map_err(|invalid| format!("--steps-per-unit: {invalid}"))?;
-    let mut scene = Scene::new(scale);
+    let stock = request.stock.map(|form| form.read(scale)).transpose()?;
+    let mut scene = Scene::new(scale, stock);
     for (file, format) in &request.files {
         let (source, size) = input::open(file)?;
         let bar = progress::bytes(size);
@@ -62,13 +67,14 @@ pub(crate) fn measure(request: &Request) -> Outcome {
         read.map_err(|failure| about(file, &*failure))?;
     }
     let totals = (&scene.engine.totals(), &scene.engine.error_max());
-    let properties = solid_properties(None, None, totals, scale, 1.0);
+    let properties = solid_scene_properties(None, None, totals, scale, 1.0);
     let mut output = std::io::stdout().lock();
     if request.json {
         writeln!(output, "{}", serde_json::to_string(&properties)?)?;
     } else {
         let properties = serde_json::to_value(&properties)?;
-        write!(output, "{}", report::table(&properties, "unit"))?;
+        let table = report::table(&properties, "unit");
+        write!(output, "{table}{}", report::parts(&properties, "unit"))?;
         if scene.deviation != Deviation::default() {
             let [outside, inside] = [scene.deviation.outside, scene.deviation.inside]
                 .map(|length| report::figure(&scale.deviation(length).into()));
@@ -90,7 +96,7 @@ fn about(file: &Path, failure: &dyn std::error::Error) -> String {
 struct Scene {
     scale: Scale,
     shapes: Shapes,
-    /// The greatest of all shapes.
+    /// The greatest of the stock and all shapes.
     deviation: Deviation,
     engine: Engine,
     waiting: Vec<Op>,
@@ -102,12 +108,14 @@ struct Scene {
 }
 
 impl Scene {
-    fn new(scale: Scale) -> Self {
+    fn new(scale: Scale, stock: Option<ReadStock>) -> Self {
+        let deviation = stock.as_ref().map(|read| read.deviation);
+        let engine = Engine::new().with_stock(stock.map(|read| read.stock));
         Self {
             scale,
             shapes: Shapes::new(),
-            deviation: Deviation::default(),
-            engine: Engine::new(),
+            deviation: deviation.unwrap_or_default(),
+            engine,
             waiting: Vec::new(),
             lines: Vec::new(),
             ids: None,

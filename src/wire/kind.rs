@@ -6,9 +6,7 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::convert::{self, MassProperties, Settings};
-use super::solids::{
-    SolidMeasures, SolidProperties, SolidSettings, solid_measures, solid_properties, solid_volume,
-};
+use super::solids::{SolidSceneProperties, SolidSettings, solid_scene_properties, solid_volume};
 use crate::geometry;
 use crate::service::{Cubes, Scene, SceneKind, SolidScene, SolidTotals, Solids};
 
@@ -60,22 +58,6 @@ pub(super) enum Properties {
     Cubes(Box<MassProperties>),
     /// Of solids.
     Solids(Box<SolidSceneProperties>),
-}
-
-/// The mass properties of a scene of solids.
-#[derive(Serialize, ToSchema)]
-pub(super) struct SolidSceneProperties {
-    #[serde(flatten)]
-    pub(super) measured: SolidProperties,
-    /// What the solids have in common with the stock: the same measures once more, under the name that they have in a scene of cubes. Left
-    /// out where there is no stock.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(nullable = false)]
-    pub(super) removed: Option<SolidMeasures>,
-    /// The stock outside the solids; left out where there is no stock.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(nullable = false)]
-    pub(super) remaining: Option<SolidMeasures>,
 }
 
 /// A change of the past.
@@ -217,14 +199,7 @@ impl ShownKind for Solids {
     ) -> SolidSceneProperties {
         let SolidTotals { union, error_max } = totals;
         let (scale, density) = (settings.scale(), settings.density());
-        let measured = solid_properties(scene, seq, (union, error_max), scale, density);
-        let part = |measures| solid_measures((measures, error_max), scale, density);
-        let remaining = union.remaining.as_ref().map(part);
-        SolidSceneProperties {
-            removed: remaining.is_some().then(|| measured.measures.clone()),
-            measured,
-            remaining,
-        }
+        solid_scene_properties(scene, seq, (union, error_max), scale, density)
     }
 
     fn shown(properties: SolidSceneProperties) -> Properties {

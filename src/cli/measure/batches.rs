@@ -158,7 +158,7 @@ pub(super) fn union_of(
     settings: &Settings,
     read: impl FnOnce(&mut Batches<'_>) -> Result<(), Failure> + Send,
 ) -> Result<Totals, Failure> {
-    let mut engine = Engine::new(settings.edge());
+    let mut engine = Engine::new(settings.edge()).with_stock(settings.stock());
     let (to, batches) = sync_channel(0);
     thread::scope(|scope| {
         let reader = scope.spawn(move || {

@@ -5,7 +5,6 @@ mod grpc;
 mod http;
 mod line;
 mod solids;
-mod stock;
 mod tally;
 mod target;
 
@@ -20,7 +19,6 @@ use indicatif::ProgressBar;
 use serde_json::{Value, value::RawValue};
 
 use self::line::LineChange;
-use self::stock::StockForm;
 use self::tally::{Cutting, Kind, Tally};
 use self::target::Target;
 use super::client::{Client, SceneWanted};
@@ -29,6 +27,7 @@ use super::cutter::{self, Cutter, Length, STEPS_PER_EDGE, Unit};
 use super::input;
 use super::path::{self, RAPID_RATE_MM};
 use super::program::ProgramArgs;
+use super::stock::{self, StockForm};
 use super::{Outcome, progress, report};
 use union3d::geometry::Place;
 use union3d::toolpath::{Event, Interpreter, Motion, Move, Warning};

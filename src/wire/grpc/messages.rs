@@ -11,9 +11,10 @@ use crate::service::{
 use crate::wire::atomic::ChangedKind;
 use crate::wire::calls;
 use crate::wire::convert::{self, Anchor, MassProperties, Rounding, Settings};
-use crate::wire::kind::{ShownKind, SolidSceneProperties};
+use crate::wire::kind::ShownKind;
 use crate::wire::problem::{Fault, Problem};
 use crate::wire::proto;
+use crate::wire::solids::SolidSceneProperties;
 use crate::wire::solids::{SolidSettings, solid_area};
 
 /// A kind of scene, as messages show it.

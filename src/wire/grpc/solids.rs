@@ -9,11 +9,11 @@ use crate::geometry::convex::Point;
 use crate::service::Shapes;
 use crate::wire::convert::Rounding;
 use crate::wire::documents::IdForm;
-use crate::wire::kind::SolidSceneProperties;
 use crate::wire::problem::{Fault, Faults};
 use crate::wire::proto;
 use crate::wire::proto::shape::Form;
 use crate::wire::proto::solid_scene_settings::StockForm;
+use crate::wire::solids::SolidSceneProperties;
 use crate::wire::solids::{
     BoxDocument, CornersDocument, CutterDocument, ErrorBounds, ExactSolids, FitName, FixedPoint,
     FormDocument, PolygonError, Scale, ShapeDocument, SolidDocument, SolidEdgeLength,

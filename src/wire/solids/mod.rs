@@ -28,10 +28,9 @@ pub use self::documents::{
     SolidDocument,
 };
 pub(in crate::wire) use self::polygon_error::PolygonError;
-pub(in crate::wire) use self::properties::solid_measures;
 pub use self::properties::{
     ErrorBounds, ExactSolids, FixedPoint, SolidEdgeLength, SolidMeasures, SolidProperties,
-    solid_area, solid_properties, solid_volume,
+    SolidSceneProperties, solid_area, solid_properties, solid_scene_properties, solid_volume,
 };
 pub use self::scale::{InvalidScale, Scale};
 pub(in crate::wire) use self::settings::{

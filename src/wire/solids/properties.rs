@@ -116,6 +116,23 @@ pub struct SolidProperties {
     pub bounds: Option<UserBounds>,
 }
 
+/// The mass properties of a scene of solids.
+#[derive(Serialize, ToSchema)]
+pub struct SolidSceneProperties {
+    /// Of the union, cut to the stock where there is one.
+    #[serde(flatten)]
+    pub measured: SolidProperties,
+    /// What the solids have in common with the stock: the same measures once more, under the name that they have in a scene of cubes. Left
+    /// out where there is no stock.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    pub removed: Option<SolidMeasures>,
+    /// The stock outside the solids; left out where there is no stock.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    pub remaining: Option<SolidMeasures>,
+}
+
 // Divisors of the integers in steps to their power.
 const VOLUME_DIVISOR: i128 = 6 << -VOLUME_UNIT;
 const AREA_DIVISOR: i128 = 2 << -AREA_UNIT;
@@ -154,8 +171,26 @@ pub fn solid_properties(
     }
 }
 
+/// The mass properties of totals, with the parts of the stock where there is one.
+pub fn solid_scene_properties(
+    scene: Option<&str>,
+    seq: Option<u64>,
+    (totals, error_max): (&Totals, &ErrorMax),
+    scale: Scale,
+    density: f64,
+) -> SolidSceneProperties {
+    let measured = solid_properties(scene, seq, (totals, error_max), scale, density);
+    let part = |measures| solid_measures((measures, error_max), scale, density);
+    let remaining = totals.remaining.as_ref().map(part);
+    SolidSceneProperties {
+        removed: remaining.is_some().then(|| measured.measures.clone()),
+        measured,
+        remaining,
+    }
+}
+
 /// Measures in user units.
-pub(in crate::wire) fn solid_measures(
+fn solid_measures(
     (measures, error_max): (&Measures, &ErrorMax),
     scale: Scale,
     density: f64,

@@ -5,10 +5,10 @@ use union3d::engine::solids::{
 };
 use union3d::geometry::Bounds;
 use union3d::geometry::convex::{Deviation, Point};
-use union3d::wire::solids::{CutterDocument, FitName, ReadStock, Scale, SolidStockDocument};
+use union3d::wire::solids::{ReadStock, Scale, SolidStockDocument};
 
+use super::super::super::stock::StockForm;
 use super::super::line::Material as State;
-use super::super::stock::StockForm;
 use super::bodies::Swept;
 
 /// Units of volume in a step cubed, as the engine's `volume6` counts them.
@@ -16,9 +16,6 @@ pub(super) const VOLUME_UNITS: f64 = (6 << -VOLUME_UNIT) as f64;
 
 /// Units of area in a step squared, as the engine's `area2` counts them.
 pub(super) const AREA_UNITS: f64 = (2_u32 << -AREA_UNIT) as f64;
-
-/// Sides of the polygon that stands for a round stock.
-const STOCK_SIDES: u16 = 128;
 
 /// An id that no solid of a program has.
 const NO_SOLID: SolidId = SolidId(u64::MAX);
@@ -39,10 +36,7 @@ impl Blank {
     /// # Errors
     /// A sentence says what is wrong with the stock.
     pub(super) fn new(form: Option<&StockForm>, scale: Scale) -> Result<Self, String> {
-        let read = form.map(|form| document(form, scale).read(scale));
-        let read = read
-            .transpose()
-            .map_err(|fault| format!("--stock: {fault}"))?;
+        let read = form.map(|form| form.read(scale)).transpose()?;
         let Some(ReadStock {
             stock,
             document,
@@ -81,38 +75,6 @@ impl Blank {
             let most = own[1] + ends[0][axis].max(ends[1][axis]);
             least < i64::from(stock.max[axis]) && most > i64::from(stock.min[axis])
         })
-    }
-}
-
-/// The stock as scenes know it.
-fn document(form: &StockForm, scale: Scale) -> SolidStockDocument {
-    let per_unit = f64::from(scale.steps_per_unit());
-    let steps = |length: f64| (length * per_unit).round() / per_unit;
-    match form {
-        StockForm::Box([min, max]) => SolidStockDocument::cuboid(*min, *max),
-        StockForm::Cylinder {
-            base,
-            diameter,
-            height,
-        } => SolidStockDocument {
-            cylinder: Some(CutterDocument {
-                diameter: steps(*diameter),
-                length: steps(*height),
-                corner_radius: None,
-                tip: None,
-                angle: None,
-                rings: None,
-                sides: STOCK_SIDES,
-                polygon: FitName::EqualArea,
-                at: *base,
-            }),
-            ..SolidStockDocument::default()
-        },
-        StockForm::Nothing => unreachable!("no stock has no form"),
-        StockForm::Hull(points) => SolidStockDocument {
-            hull: Some(points.clone()),
-            ..SolidStockDocument::default()
-        },
     }
 }
 

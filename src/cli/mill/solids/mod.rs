@@ -28,8 +28,8 @@ use self::scene::Wanted;
 use self::schedule::Machine;
 use self::shop::Shop;
 use self::target::{Measured, Target};
+use super::super::stock::{self, StockForm};
 use super::super::{Outcome, progress, report};
-use super::stock::{self, StockForm};
 use super::tally::{self, Cutting, Tally};
 use super::{
     Args, COLLISION, Count, Warnings, about_csv, book, created, nothing_cut, path, rapid_rate,

@@ -1,13 +1,17 @@
 //! The stock as it is written on the command line, or in comments of the program.
 
 use union3d::toolpath::{StockComment, Warning};
+use union3d::wire::solids::{CutterDocument, FitName, ReadStock, Scale, SolidStockDocument};
 
-use super::super::cutter::{Unit, positive};
-use super::super::program::point;
+use super::cutter::{Unit, positive};
+use super::program::point;
+
+/// Sides of the polygon that stands for a round stock.
+const SIDES: u16 = 128;
 
 /// The material before anything is cut. Units: the scene's.
 #[derive(Clone, PartialEq, Debug)]
-pub(super) enum StockForm {
+pub(crate) enum StockForm {
     /// From its least to its greatest corner.
     Box([[f64; 3]; 2]),
     /// Upright, on the middle of its lower end.
@@ -23,7 +27,7 @@ pub(super) enum StockForm {
 }
 
 /// A stock, such as `0,0,-10:80,60,0`, `cylinder:0,0,-20:50x20`, `hull:0,0,0:10,0,0:0,10,0:0,0,10` or `none`.
-pub(super) fn parse(text: &str) -> Result<StockForm, String> {
+pub(crate) fn parse(text: &str) -> Result<StockForm, String> {
     if text == "none" {
         return Ok(StockForm::Nothing);
     }
@@ -51,7 +55,7 @@ pub(super) fn parse(text: &str) -> Result<StockForm, String> {
 }
 
 /// What comments of a program say of its stock, in the scene's unit, and what is to be told of that.
-pub(super) fn from_comment(said: StockComment, unit: Unit) -> (Option<StockForm>, Option<Warning>) {
+pub(crate) fn from_comment(said: StockComment, unit: Unit) -> (Option<StockForm>, Option<Warning>) {
     let told = |line: u64, text: String| Warning {
         line,
         code: "stock-comment".into(),
@@ -79,10 +83,51 @@ impl StockForm {
     ///
     /// # Errors
     /// A sentence when it is none: square cutters cut boxes only.
-    pub(super) fn corners(&self) -> Result<[[f64; 3]; 2], String> {
+    pub(crate) fn corners(&self) -> Result<[[f64; 3]; 2], String> {
         match self {
             Self::Box(corners) => Ok(*corners),
-            _ => Err("--stock: square cutters (--edge) cut a box only, MIN:MAX".into()),
+            _ => Err("--stock: cubes cut a box only, MIN:MAX".into()),
+        }
+    }
+
+    /// The convex solid that it is.
+    ///
+    /// # Errors
+    /// A sentence says what is wrong with it.
+    pub(crate) fn read(&self, scale: Scale) -> Result<ReadStock, String> {
+        let read = self.document(scale).read(scale);
+        read.map_err(|fault| format!("--stock: {fault}"))
+    }
+
+    /// As scenes of solids know it.
+    fn document(&self, scale: Scale) -> SolidStockDocument {
+        let per_unit = f64::from(scale.steps_per_unit());
+        let steps = |length: f64| (length * per_unit).round() / per_unit;
+        match self {
+            Self::Box([min, max]) => SolidStockDocument::cuboid(*min, *max),
+            Self::Cylinder {
+                base,
+                diameter,
+                height,
+            } => SolidStockDocument {
+                cylinder: Some(CutterDocument {
+                    diameter: steps(*diameter),
+                    length: steps(*height),
+                    corner_radius: None,
+                    tip: None,
+                    angle: None,
+                    rings: None,
+                    sides: SIDES,
+                    polygon: FitName::EqualArea,
+                    at: *base,
+                }),
+                ..SolidStockDocument::default()
+            },
+            Self::Hull(points) => SolidStockDocument {
+                hull: Some(points.clone()),
+                ..SolidStockDocument::default()
+            },
+            Self::Nothing => unreachable!("no stock has no form"),
         }
     }
 }
