@@ -126,7 +126,10 @@ fn every_way_to_a_scene_reports_the_same() {
     let server = Server::start(&directory.path().join("data"));
     let bare = ["--steps-per-unit", "100"];
     let round = ["--stock=cylinder:30,20,-10:45.0004x10", "--unit", "mm"];
-    for (index, own) in [&[STOCK][..], &round, &bare].into_iter().enumerate() {
+    for (index, own) in [&[STOCK, "--contact"][..], &round, &bare]
+        .into_iter()
+        .enumerate()
+    {
         let run = |way: &str, address: &str| {
             let scene = format!("{}{index}", &way[2..]);
             report(
@@ -142,6 +145,8 @@ fn every_way_to_a_scene_reports_the_same() {
         let rapids = here.0["cutting"]["rapid_cuts"]["count"].as_u64().unwrap();
         assert_eq!(hits > Some(0), index < 2, "{}", here.0);
         assert_eq!(rapids > 0, index < 2, "{}", here.0);
+        let contact = here.0["cutting"]["contact_area"]["peak"].as_f64();
+        assert_eq!(contact > Some(0.0), index == 0, "{}", here.0);
         assert_eq!(run("--server", &server.url), here);
         assert_eq!(run("--grpc", &server.grpc), here);
     }

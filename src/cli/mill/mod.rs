@@ -82,8 +82,8 @@ that was there before. Where it lies on a surface that was there, or on that of 
 moves, as a cycle, has the sum of theirs. The cell is empty where it is not known: where the shank or the holder comes near the stock on a move of several solids, or a move has more than 1,024.
 
 With --server or --grpc all that goes into a scene of a running `union3d serve`, which is made if it is not there. --grpc streams: changes follow each other without \
-waiting for answers. --server asks over HTTP, one change after the other. Each move of tools with shapes is one change, its chords as several solids, with the line's number as its `move` and its machine time as \
-its `duration`; the report is the same as without a server. The scene has the same steps, unit and stock, and no solids yet. The solids of line L have the ids from L x 2^20 on. What shanks and holders hit is found in \
+waiting for answers. --server sends them over HTTP, many in a request. Each move of tools with shapes is one change, its chords as several solids, with the line's number as its `move` and its machine time as \
+its `duration`; the report is the same as without a server. The scene has the same steps, unit and stock, and no solids yet. The solids of line L have the ids from L x 2^20 on. What shanks and holders hit, and with --contact the area of contact, is found in \
 this process, which follows what the program removes, because asking the server in between would hold up the stream; when somebody else changes the scene meanwhile, it is not known, and the report \
 says so and leaves it out. --replace changes the program in the scene to the one in the file: it lists the scene's solids, deletes those that the file does not have (whoever put them there), inserts those that \
 are new, and keeps all others with their ids; the totals are exact at once, and what the history says lines have removed is stale from the first line that differs on: for that, mill anew. \
@@ -139,9 +139,9 @@ pub(crate) struct Args {
     /// Volumes up to this are no hit, and a feed line that removes no more cuts air; in the scene's unit cubed.
     #[arg(long, value_name = "VOLUME", value_parser = not_negative, default_value_t = 0.0)]
     least_volume: f64,
-    /// Work out the area of contact of each line of tools with shapes, in this process: moves of several solids, such as arcs, take two to three times
-    /// as long.
-    #[arg(long, conflicts_with_all = ["edge", "server", "grpc"])]
+    /// Work out the area of contact of each line of tools with shapes, in this process, also beside a server: moves of several solids, such as
+    /// arcs, take two to three times as long.
+    #[arg(long, conflicts_with_all = ["edge", "replace"])]
     contact: bool,
     /// Sides of the polygon that stands for the circle of a round tool.
     #[arg(

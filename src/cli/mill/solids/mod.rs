@@ -255,12 +255,13 @@ impl Run<'_> {
 
     async fn target(&self, blank: &Blank) -> Result<Target, Failure> {
         let credentials = self.args.credentials.read()?;
+        let blank = (blank, self.args.contact);
         match (&self.args.server, &self.args.grpc) {
             (Some(server), _) => Target::http(server, &credentials, &self.wanted, blank).await,
             (None, Some(server)) => Target::grpc(server, &credentials, &self.wanted, blank).await,
             (None, None) => {
                 self.args.check_scene()?;
-                Ok(Target::here(blank, self.args.contact))
+                Ok(Target::here(blank))
             }
         }
     }

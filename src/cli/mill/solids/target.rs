@@ -54,6 +54,8 @@ pub(super) struct Told {
     bodies: u64,
     /// What its shank and holder go through, if nobody else changes the scene.
     hit: i128,
+    /// Its area of contact, under the same condition; none where it is not known.
+    contact: Option<i128>,
     /// Whether they come near the stock.
     is_asked: bool,
 }
@@ -66,9 +68,12 @@ pub(super) struct Measured {
     pub(super) remaining: Option<SolidProperties>,
 }
 
-/// Follows, beside a server, what the program alone removes: what shanks and holders go through is asked in between changes that are in flight.
+/// Follows, beside a server, what the program alone removes: what shanks and holders go through, and the contact of moves, is asked in between
+/// changes that are in flight.
 pub(super) struct Watch {
     blank: Blank,
+    /// Whether the contact of moves is wanted: then all is cut here, too.
+    says_contact: bool,
     /// What has been cut before anything had to be asked.
     so_far: Vec<Cut>,
     material: Option<Material>,
@@ -78,7 +83,7 @@ pub(super) struct Watch {
 
 impl Target {
     /// In this process, with the contact of moves if that is wanted.
-    pub(super) fn here(blank: &Blank, says_contact: bool) -> Self {
+    pub(super) fn here((blank, says_contact): (&Blank, bool)) -> Self {
         Self::Here {
             material: Box::new(Material::new(blank).with_contact(says_contact)),
             waiting: Vec::new(),
@@ -91,7 +96,7 @@ impl Target {
         server: &str,
         credentials: &Credentials,
         wanted: &Wanted,
-        blank: &Blank,
+        (blank, says_contact): (&Blank, bool),
     ) -> Result<Self, Failure> {
         let mut client = Client::of(server, credentials, &wanted.name)?;
         let found = match wanted.find_http(&mut client).await? {
@@ -101,7 +106,7 @@ impl Target {
         Ok(Self::Http {
             stream: Box::new(HttpStream::new(client)),
             defined: Defined::default(),
-            watch: Box::new(Watch::new(blank.clone(), found.seq)),
+            watch: Box::new(Watch::new(blank.clone(), says_contact, found.seq)),
         })
     }
 
@@ -110,7 +115,7 @@ impl Target {
         server: &str,
         credentials: &Credentials,
         wanted: &Wanted,
-        blank: &Blank,
+        (blank, says_contact): (&Blank, bool),
     ) -> Result<Self, Failure> {
         let mut client = grpc::connect(server, credentials).await?;
         let found = wanted.open_grpc(&mut client, server).await?;
@@ -120,7 +125,7 @@ impl Target {
             server: server.to_owned(),
             scene: wanted.name.clone(),
             defined: Defined::default(),
-            watch: Box::new(Watch::new(blank.clone(), found.seq)),
+            watch: Box::new(Watch::new(blank.clone(), says_contact, found.seq)),
         })
     }
 
@@ -149,7 +154,7 @@ impl Target {
                     let client = stream.client();
                     defined.define_http(client, &cut.carried.swept).await?;
                 }
-                let told = Told::of(&stroke, watch.hit(&stroke)?);
+                let told = watch.told(&stroke)?;
                 watch.http(stream.send(told, change(&stroke)?).await?)
             }
             Self::Grpc {
@@ -165,7 +170,7 @@ impl Target {
                         .define_grpc(client, server, scene, &cut.carried.swept)
                         .await?;
                 }
-                let told = Told::of(&stroke, watch.hit(&stroke)?);
+                let told = watch.told(&stroke)?;
                 let done = stream.send(told, change(&stroke)?).await?;
                 Ok(done.into_iter().map(|done| watch.done(done)).collect())
             }
@@ -250,17 +255,25 @@ impl Measured {
 }
 
 impl Watch {
-    fn new(blank: Blank, seq: u64) -> Self {
+    fn new(blank: Blank, says_contact: bool, seq: u64) -> Self {
         Self {
             blank,
+            says_contact,
             so_far: Vec::new(),
             material: None,
             seq: Some(seq),
         }
     }
 
-    /// What the shank and the holder of a stroke go through.
-    fn hit(&mut self, stroke: &Stroke) -> Result<i128, String> {
+    /// What is known of a stroke before the server has done it.
+    fn told(&mut self, stroke: &Stroke) -> Result<Told, String> {
+        if self.says_contact {
+            let new = || Material::new(&self.blank).with_contact(true);
+            let material = self.material.get_or_insert_with(new);
+            let mut done = mill(material, std::slice::from_ref(stroke))?;
+            let done = done.pop().expect("there is one for each stroke");
+            return Ok(Told::of(stroke, done.hit, done.contact()));
+        }
         let mut hit = 0;
         for pass in &stroke.passes {
             if let Some(cut) = &pass.flutes {
@@ -280,7 +293,7 @@ impl Watch {
                 hit += material.inside(blunt.body(stroke.line)?);
             }
         }
-        Ok(hit)
+        Ok(Told::of(stroke, hit, None))
     }
 
     /// Notes that a change of the program is done; false when somebody else has changed the scene since the program began.
@@ -293,7 +306,7 @@ impl Watch {
     fn http(&mut self, done: Vec<http::Done<Told>>) -> Result<Vec<tally::Cut>, Failure> {
         let cut = |done: http::Done<Told>| {
             let (seq, removed, after) = read(&done.answer).ok_or(UNREADABLE)?;
-            Ok(done.what.cut(removed, after, self.note(seq), None))
+            Ok(done.what.cut(removed, after, self.note(seq)))
         };
         done.into_iter().map(cut).collect()
     }
@@ -306,14 +319,25 @@ impl Watch {
             after,
         } = done;
         let is_alone = self.note(outcome.seq);
-        // A server does not say it.
-        what.cut(removed, after, is_alone, None)
+        what.cut(removed, after, is_alone)
     }
 }
 
-/// Cuts strokes in this process, in their order; what shanks and holders go through is asked in between.
+/// Cuts strokes in this process, in their order.
 fn cut_together(material: &mut Material, strokes: &[Stroke]) -> Result<Vec<tally::Cut>, String> {
     let mut after = material.state();
+    let done = mill(material, strokes)?;
+    let says_contact = material.says_contact();
+    let cuts = strokes.iter().zip(done).map(|(stroke, done)| {
+        after.add(done.more);
+        let contact = done.contact().filter(|_| says_contact);
+        Told::of(stroke, done.hit, contact).cut(done.more.removed, after, true)
+    });
+    Ok(cuts.collect())
+}
+
+/// What each of some strokes does to the material, one after the other; what shanks and holders hit is asked in between.
+fn mill(material: &mut Material, strokes: &[Stroke]) -> Result<Vec<Milled>, String> {
     let mut done = vec![Milled::default(); strokes.len()];
     let mut moves: Vec<(usize, Vec<(SolidId, solids::Body)>)> = Vec::new();
     let cut = |material: &mut Material, moves: &mut Vec<_>, done: &mut [Milled]| {
@@ -338,13 +362,7 @@ fn cut_together(material: &mut Material, strokes: &[Stroke]) -> Result<Vec<tally
         }
     }
     cut(material, &mut moves, &mut done);
-    let says_contact = material.says_contact();
-    let cuts = strokes.iter().zip(done).map(|(stroke, done)| {
-        after.add(done.more);
-        let contact = done.contact().filter(|_| says_contact);
-        Told::of(stroke, done.hit).cut(done.more.removed, after, true, contact)
-    });
-    Ok(cuts.collect())
+    Ok(done)
 }
 
 /// What a stroke did in this process.
@@ -375,7 +393,7 @@ impl Milled {
 }
 
 impl Told {
-    fn of(stroke: &Stroke, hit: i128) -> Self {
+    fn of(stroke: &Stroke, hit: i128, contact: Option<i128>) -> Self {
         Self {
             line: stroke.line,
             kind: stroke.kind,
@@ -383,18 +401,13 @@ impl Told {
             tool: stroke.tool,
             bodies: stroke.cuts().count() as u64,
             hit,
+            contact,
             is_asked: stroke.passes.iter().any(|pass| pass.blunt.is_some()),
         }
     }
 
     /// What it did; `is_alone` when nobody else has changed the material.
-    fn cut(
-        &self,
-        removed: i128,
-        after: State,
-        is_alone: bool,
-        contact: Option<i128>,
-    ) -> tally::Cut {
+    fn cut(&self, removed: i128, after: State, is_alone: bool) -> tally::Cut {
         tally::Cut {
             line: self.line,
             kind: self.kind,
@@ -406,7 +419,7 @@ impl Told {
             tool: Some(ToolCut {
                 number: self.tool,
                 hit: (is_alone || !self.is_asked).then_some(self.hit),
-                contact,
+                contact: self.contact.filter(|_| is_alone),
             }),
         }
     }
@@ -460,7 +473,7 @@ mod tests {
     #[test]
     fn hits_are_known_as_long_as_nobody_else_changes_the_scene() {
         let blank = Blank::new(None, Scale::new(1000).unwrap()).unwrap();
-        let mut watch = Watch::new(blank, 5);
+        let mut watch = Watch::new(blank, false, 5);
         let told = |is_asked| Told {
             line: 1,
             kind: Kind::Feed,
@@ -468,6 +481,7 @@ mod tests {
             tool: 1,
             bodies: 1,
             hit: 0,
+            contact: Some(7),
             is_asked,
         };
         let after = State {
@@ -476,9 +490,10 @@ mod tests {
         };
         for (seq, known) in [(6, true), (7, true), (9, false), (10, false)] {
             let is_alone = watch.note(seq);
-            let hit = |told: Told| told.cut(0, after, is_alone, None).tool.unwrap().hit;
-            assert_eq!(hit(told(true)), known.then_some(0), "{seq}");
-            assert_eq!(hit(told(false)), Some(0), "{seq}");
+            let tool = |told: Told| told.cut(0, after, is_alone).tool.unwrap();
+            assert_eq!(tool(told(true)).hit, known.then_some(0), "{seq}");
+            assert_eq!(tool(told(false)).hit, Some(0), "{seq}");
+            assert_eq!(tool(told(false)).contact, known.then_some(7), "{seq}");
         }
     }
 }
