@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::time::Duration;
 
+use clap::Args;
 use config::{Config, ConfigError, Environment, File, FileFormat, Map};
 use serde::{Deserialize, Serialize};
 
@@ -336,6 +337,53 @@ impl InvalidConfig {
     fn of(what: String) -> Self {
         Self(ConfigError::Message(what))
     }
+}
+
+/// An example of the file: every setting with what it means and its default, all commented out. One whose default is none, or that of the
+/// machine, stands without a value.
+pub fn example() -> String {
+    let defaults = serde_json::to_value(ServeConfig::default());
+    let mut defaults = defaults.expect("settings are an object of JSON");
+    let mut text = format!(
+        "# Settings of union3d {}, of `union3d serve --config FILE`. Each is also a variable, such as UNION3D_HTTP, and a flag, --http:\n\
+         # flags win over variables, and variables over this file. What stands here are the defaults.\n",
+        env!("CARGO_PKG_VERSION")
+    );
+    let command = ServeFlags::augment_args(clap::Command::new("serve"));
+    for flag in command.get_arguments() {
+        let key = flag.get_id().as_str();
+        let help = flag.get_help().map(ToString::to_string).unwrap_or_default();
+        let (meaning, default) = match help.split_once(" [default: ") {
+            Some((meaning, default)) => (meaning.to_owned(), default.trim_end_matches(']')),
+            None => (help, ""),
+        };
+        let value = defaults[key].take();
+        let shown = match &value {
+            serde_json::Value::Null => None,
+            // What depends on the machine is said in words.
+            serde_json::Value::Number(number) if number.to_string() != default => None,
+            value => Some(value),
+        };
+        let names = flag.get_value_names().unwrap_or_default();
+        let value = match shown {
+            // A scalar or a list is written the same in JSON and TOML.
+            Some(value) => value.to_string(),
+            None => names.iter().map(|name| name.as_str()).collect(),
+        };
+        let note = if shown.is_none() && !default.is_empty() {
+            format!(
+                " Default: {}.",
+                default.split_whitespace().collect::<Vec<_>>().join(" ")
+            )
+        } else {
+            String::new()
+        };
+        text += &format!(
+            "\n# {}.{note}\n#{key} = {value}\n",
+            meaning.trim_end_matches('.')
+        );
+    }
+    text
 }
 
 /// What the names of variables begin with.

@@ -29,6 +29,51 @@ fn nothing_set_gives_the_defaults() {
     assert_eq!(none.grpc.to_string(), "127.0.0.1:7374");
 }
 
+/// The example has every setting, and says the defaults: with the comment marks taken off those that have a value it sets nothing else.
+#[test]
+fn the_example_is_what_the_defaults_are() {
+    let example = union3d::config::example();
+    let kept = std::fs::read_to_string(
+        PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("deploy/union3d.toml"),
+    );
+    assert_eq!(
+        kept.unwrap(),
+        example,
+        "write it anew: union3d config > deploy/union3d.toml"
+    );
+    let settings: Vec<&str> = example
+        .lines()
+        .filter_map(|line| line.strip_prefix('#'))
+        .filter(|line| !line.starts_with(' '))
+        .collect();
+    let defaults = serde_json::to_value(ServeConfig::default()).unwrap();
+    let names: Vec<&str> = settings
+        .iter()
+        .map(|line| line.split(' ').next().unwrap())
+        .collect();
+    let mut sorted = names.clone();
+    sorted.sort_unstable();
+    assert!(sorted.iter().eq(defaults.as_object().unwrap().keys()), "{sorted:?}");
+    // What has no default of its own stands there with what kind of thing it is.
+    let is_word = |line: &&&str| line.ends_with(|letter: char| letter.is_ascii_uppercase());
+    let words: Vec<&str> = settings.iter().filter(is_word).copied().collect();
+    assert_eq!(
+        words,
+        [
+            "tls_certificate = FILE",
+            "tls_key = FILE",
+            "tls_client_ca = FILE",
+            "keys = FILE",
+            "memory_bytes_max = BYTES"
+        ]
+    );
+    let values: Vec<&str> = settings.iter().filter(|line| !is_word(line)).copied().collect();
+    assert_eq!(
+        merge(&values.join("\n"), &[], &ServeFlags::default()),
+        Ok(ServeConfig::default())
+    );
+}
+
 #[test]
 fn flags_win_over_variables_over_the_file() {
     let text =

@@ -8,6 +8,7 @@ mod cutter;
 mod demo;
 mod input;
 mod key;
+mod man;
 mod measure;
 mod mill;
 mod path;
@@ -21,7 +22,7 @@ mod stock;
 
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 
 /// What a subcommand ends with: an exit status, or what went wrong and what to do.
 pub(crate) type Outcome = Result<ExitCode, Box<dyn std::error::Error>>;
@@ -46,6 +47,9 @@ enum Command {
     Backup(backup::Args),
     Restore(restore::Args),
     Key(key::Args),
+    Config(man::ConfigArgs),
+    Completions(man::CompletionsArgs),
+    Man(man::ManArgs),
 }
 
 /// Reads the arguments, runs the subcommand and reports its error, if any, as one line on standard error.
@@ -60,6 +64,9 @@ pub(crate) fn main() -> ExitCode {
         Command::Backup(args) => backup::run(args),
         Command::Restore(args) => restore::run(args),
         Command::Key(args) => key::run(args),
+        Command::Config(man::ConfigArgs {}) => man::config(),
+        Command::Completions(args) => man::completions(&args, Cli::command()),
+        Command::Man(args) => man::man(&args, Cli::command()),
     };
     outcome.unwrap_or_else(|error| {
         if is_unread(&*error) {
