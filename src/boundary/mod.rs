@@ -1,33 +1,6 @@
 //! The boundary of a union as faces: what engines list, and what meshes and pictures are made of.
 
-use std::ops::ControlFlow;
+mod face;
+pub mod solids;
 
-use crate::geometry::CubeId;
-
-/// Which boundary.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub enum Region {
-    /// Of the union of all bodies, whatever lies outside of a stock, too.
-    Union,
-    /// Of what the bodies remove from the stock.
-    Removed,
-    /// Of what remains of the stock. Normals point out of the material.
-    Remaining,
-}
-
-/// What is exposed in one oriented plane: a set of polygons with holes, given by their edges.
-///
-/// Edges of one face form closed loops: at every vertex as many end as begin. Of all faces together every edge occurs an even number of
-/// times, half of them in each direction. A vertex is the point of floats nearest to the exact one, so equal vertices are equal.
-#[derive(Clone, PartialEq, Debug)]
-pub struct Face {
-    /// The body of least id that has some of it.
-    pub body: CubeId,
-    /// The outward normal, of length 1.
-    pub normal: [f64; 3],
-    /// Edges from the first to the second end, the face to their left as seen from outside. Units: steps.
-    pub edges: Vec<[[f64; 3]; 2]>,
-}
-
-/// Takes faces one by one, and may end the listing.
-pub type FaceSink<'a> = dyn FnMut(&Face) -> ControlFlow<()> + 'a;
+pub use face::{Face, FaceSink, NoStock, Region};
