@@ -383,6 +383,111 @@ fn neighbouring_boxes_share_out_every_face() {
     }
 }
 
+/// Boxes as voxels: which are filled, in a world of this side.
+struct Voxels<'v> {
+    side: i32,
+    is_filled: &'v dyn Fn([i32; 3]) -> bool,
+}
+
+impl Voxels<'_> {
+    /// Whether a half of a voxel's face, by the middle of the face's quarter in quarters of a step, is exposed to this side of its plane.
+    fn is_exposed(&self, axis: usize, outward: i32, quarters: [i32; 3]) -> bool {
+        let mut inside = quarters.map(|quarter| quarter.div_euclid(4));
+        let mut outside = inside;
+        inside[axis] = quarters[axis] / 4 - i32::from(outward > 0);
+        outside[axis] = inside[axis] + outward;
+        (self.is_filled)(inside) && !(self.is_filled)(outside)
+    }
+
+    /// Compares all quarters of all faces, as far as they are within a box of voxels and half a step around it.
+    #[track_caller]
+    fn check(&self, faces: &[Face], within: Option<Bounds>, context: &str) {
+        let mut left: Vec<&Face> = faces.iter().collect();
+        for axis in 0..3 {
+            let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+            for (level, outward) in (0..=self.side).flat_map(|level| [(level, -1), (level, 1)]) {
+                let is_here = |face: &&Face| {
+                    face.normal[axis] == f64::from(outward)
+                        && face.edges[0][0][axis] == f64::from(level)
+                };
+                let here = left.iter().position(|face| is_here(face));
+                let face = here.map(|index| left.swap_remove(index));
+                let quarters = || (0..2 * self.side).map(|half| 2 * half + 1);
+                for (a, b) in quarters().flat_map(|a| quarters().map(move |b| (a, b))) {
+                    let mut at = [4 * level; 3];
+                    (at[u], at[v]) = (a, b);
+                    let is_within = within.is_none_or(|within| {
+                        (0..3).all(|axis| {
+                            let span = 4 * within.min[axis] - 2..=4 * within.max[axis] + 2;
+                            span.contains(&at[axis])
+                        })
+                    });
+                    let expected = i32::from(is_within && self.is_exposed(axis, outward, at));
+                    let found = face.map_or(0, |face| winding(face, [u, v], outward, at));
+                    assert_eq!(
+                        found, expected,
+                        "{context}: at {at:?} quarters, {axis} {outward}"
+                    );
+                }
+            }
+        }
+        assert!(
+            left.is_empty(),
+            "{context}: all faces are those of voxels: {left:?}"
+        );
+    }
+}
+
+/// How often the edges of a face across axes u and v go around a point that is on none of them, given in quarters of a step.
+fn winding(face: &Face, [u, v]: [usize; 2], outward: i32, quarters: [i32; 3]) -> i32 {
+    let [at_u, at_v] = [u, v].map(|axis| f64::from(quarters[axis]) / 4.0);
+    let mut winding = 0;
+    for [tail, head] in &face.edges {
+        // Edges along v to the right of the point.
+        if tail[u] == head[u] && tail[u] > at_u {
+            winding += i32::from(tail[v] < at_v && head[v] > at_v);
+            winding -= i32::from(tail[v] > at_v && head[v] < at_v);
+        }
+    }
+    winding * outward
+}
+
+#[test]
+fn faces_of_boxes_are_those_of_voxels() {
+    for seed in 0..rounds(4_000) {
+        let mut random = Random::new(seed);
+        let side = random.within(2, 6);
+        let boxes: Vec<Bounds> = (0..random.within(1, 9))
+            .map(|_| random_box(&mut random, side))
+            .collect();
+        let stock = random_box(&mut random, side);
+        let within = (random.below(2) == 0).then(|| random_box(&mut random, side));
+        let bodies = boxes.iter().map(|one| Body::solid(solid_of_box(one)));
+        let scene = Scene {
+            bodies: (0..).map(SolidId).zip(bodies).collect(),
+            stock: Some(Stock::new(solid_of_box(&stock)).unwrap()),
+        };
+        let holds = |bounds: &Bounds, voxel: [i32; 3]| {
+            (0..3).all(|axis| (bounds.min[axis]..bounds.max[axis]).contains(&voxel[axis]))
+        };
+        let is_in_union = |voxel| boxes.iter().any(|one| holds(one, voxel));
+        for region in [Region::Union, Region::Removed, Region::Remaining] {
+            let faces = scene.faces(region, within);
+            let voxels = Voxels {
+                side: i32::try_from(side).unwrap(),
+                is_filled: &|voxel| match region {
+                    Region::Union => is_in_union(voxel),
+                    Region::Removed => is_in_union(voxel) && holds(&stock, voxel),
+                    Region::Remaining => !is_in_union(voxel) && holds(&stock, voxel),
+                },
+            };
+            let context = format!("seed {seed}, {region:?} within {within:?}");
+            voxels.check(&faces, within, &context);
+            check_closed(&faces, within);
+        }
+    }
+}
+
 #[test]
 fn without_a_stock_nothing_is_removed_and_nothing_remains() {
     let go = &|| true;
