@@ -137,3 +137,87 @@ fn nearest(over: I256, under: I256) -> f64 {
     let size = quotient as f64 * scale;
     if is_negative { -size } else { size }
 }
+
+#[cfg(test)]
+mod tests {
+    use num_bigint::{BigInt, Sign};
+
+    use super::*;
+    use crate::random::Random;
+
+    fn big(value: I256) -> BigInt {
+        BigInt::from_signed_bytes_le(&value.to_le_bytes())
+    }
+
+    /// How far `over / under` is from a float, times a positive number that depends on `under` alone.
+    fn distance(over: I256, under: I256, float: f64) -> BigInt {
+        const BITS: u32 = 400;
+        let scaled = |float: f64| {
+            let bits = float.to_bits();
+            let exponent = u32::try_from(bits >> 52 & 0x7ff).unwrap();
+            let fraction = BigInt::from(bits & ((1 << 52) - 1) | 1 << 52);
+            let size = fraction << (exponent + BITS - 1075);
+            if float < 0.0 { -size } else { size }
+        };
+        let off = (big(over) << BITS) - scaled(float) * big(under);
+        BigInt::from_biguint(Sign::Plus, off.into_parts().1)
+    }
+
+    #[test]
+    fn the_nearest_float_is_found() {
+        let mut random = Random::new(1);
+        let mut wide = |bits: u32| {
+            let mut value = I256::ONE;
+            for _ in 0..bits {
+                value = value << 1 | I256::from(random.next() >> 63);
+            }
+            value
+        };
+        let mut lengths = Random::new(2);
+        let (mut ties, mut negative) = (0, 0);
+        for _ in 0..20_000 {
+            // Quotients half-way between floats, whole ones, and close to these, among any others.
+            let under = wide(lengths.below(100_u32));
+            let (over, under) = match lengths.below(4) {
+                0 => (wide(lengths.below(130)), under),
+                1 => {
+                    let half_way = under * wide(53) + I256::from(lengths.within(-1, 1));
+                    (half_way, under << lengths.within(22, 37))
+                }
+                kind => {
+                    let whole = under * wide(lengths.below(20)) << kind;
+                    (whole + I256::from(lengths.within(-1, 1)), under)
+                }
+            };
+            if over / under >> 32_u32 != I256::ZERO {
+                continue;
+            }
+            let (over, under) = match lengths.below(4) {
+                0 => (-over, under),
+                1 => (over, -under),
+                2 => (-over, -under),
+                _ => (over, under),
+            };
+            let float = nearest(over, under);
+            if over == I256::ZERO {
+                assert_eq!(float, 0.0);
+                continue;
+            }
+            negative += u32::from(float < 0.0);
+            let at = distance(over, under, float);
+            for other in [float.next_up(), float.next_down()] {
+                let there = distance(over, under, other);
+                assert!(at <= there, "{over} / {under}: {float}, {other} is nearer");
+                if at == there {
+                    ties += 1;
+                    assert_eq!(
+                        float.to_bits() & 1,
+                        0,
+                        "{over} / {under}: {float} is the odd one"
+                    );
+                }
+            }
+        }
+        assert!(ties > 100 && negative > 1_000, "{ties} {negative}");
+    }
+}
