@@ -42,7 +42,7 @@ pub fn faces(
     let mut open = Open::default();
     Ok(edges.each(&mut |listed| match listed {
         Listed::Edge(ends, sides) => {
-            open.add(ends.map(|end| rounded(&end)), sides);
+            open.add([rounded(&ends[0]), rounded(&ends[1])], sides);
             ControlFlow::Continue(())
         }
         Listed::Part(_) if !goes_on() => ControlFlow::Break(()),
@@ -62,7 +62,7 @@ impl Open {
     /// Adds an edge to the faces that meet there.
     fn add(&mut self, [tail, head]: [[f64; 3]; 2], sides: &[Side]) {
         // So short an edge that it has no floats between its ends.
-        if tail == head {
+        if tail.map(f64::to_bits) == head.map(f64::to_bits) {
             return;
         }
         for side in sides {

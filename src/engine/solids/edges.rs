@@ -20,6 +20,7 @@ use crate::geometry::convex::Plane;
 
 use super::bins::{Bins, meet};
 use super::body::{Body, SolidId};
+use super::certify::Room;
 use super::clip::{Line, clip, contact};
 use super::exact::Homogeneous;
 use super::face::{Arithmetic, Face, Vertex, side};
@@ -27,7 +28,7 @@ use super::features::Features;
 use super::lines::{Member, Scratch, Sink, touch_along};
 use super::marginal::Search;
 use super::piece::Piece;
-use super::sector::{Boundary, Sheet, Touch};
+use super::sector::{Boundary, Sheet, Touch, rest_rays};
 use super::slots::{Part, Slots, State};
 use super::stock::{Stock, cut};
 use super::witnesses::Placed;
@@ -35,7 +36,7 @@ use super::worker::Worker;
 use super::{Cursor, Neighbour, cursor};
 
 /// Parts between two questions whether to go on.
-const PARTS_AT_ONCE: usize = 1 << 10;
+const PARTS_AT_ONCE: u32 = 1 << 10;
 
 /// Bytes of prepared pieces that are kept.
 const PREPARED_BYTES: usize = 64 << 20;
@@ -68,7 +69,7 @@ pub struct Side {
 #[derive(Clone, Copy, Debug)]
 pub enum Listed<'l> {
     /// An edge, from end to end, and the surface there.
-    Edge([Homogeneous; 2], &'l [Side]),
+    Edge(&'l [Homogeneous; 2], &'l [Side]),
     /// All edges of planes whose last part this is, or one before, have been handed out.
     Part(u32),
 }
@@ -189,8 +190,8 @@ impl Edges {
             }
         }
         places.sort_unstable();
-        for (number, (_, id, index)) in places.into_iter().enumerate() {
-            if number % PARTS_AT_ONCE == 0 && !goes_on() {
+        for (number, (_, id, index)) in (0_u32..).zip(places) {
+            if number.is_multiple_of(PARTS_AT_ONCE) && !goes_on() {
                 return None;
             }
             let part = Part {
@@ -211,7 +212,7 @@ impl Edges {
     /// Finds the live features of all parts, and with which part each plane is complete.
     fn testify(&mut self, goes_on: &dyn Fn() -> bool) -> Option<()> {
         for slot in 0..self.parts {
-            if slot as usize % PARTS_AT_ONCE == 0 && !goes_on() {
+            if slot.is_multiple_of(PARTS_AT_ONCE) && !goes_on() {
                 return None;
             }
             let piece = self.piece(slot);
@@ -341,11 +342,7 @@ impl Edges {
             None => self.exposed(rays.iter().map(of_union)),
             Some(None) => self.exposed(rays.iter().map(turned)),
             Some(Some(own)) => {
-                let rays = Boundary {
-                    rays,
-                    kind: crate::geometry::EdgeKind::Convex,
-                };
-                let rest = rays.rest_rays(&own);
+                let rest = rest_rays(rays, &own);
                 self.exposed(rest.iter().map(|(ray, way)| match way {
                     1 => (ray.face.plane, ray.side, None),
                     _ => turned(ray),
@@ -387,8 +384,7 @@ impl Edges {
             let faces = [material.face(edge.left), material.face(edge.right)];
             let ends = [edge.tail, edge.head].map(|vertex| material.vertex(vertex));
             let line = Line::along(faces);
-            let mut room = super::certify::Room::empty();
-            ends.iter().for_each(|end| room.include(&end.near));
+            let room = Room::around(&ends[0].near, &ends[1].near);
             let mut pieces = Vec::new();
             for slot in self.bins.nearest(&room.bounds(), u32::MAX) {
                 let piece = self.piece(slot);
@@ -449,7 +445,7 @@ fn split<'a>(
     pieces: impl Iterator<Item = &'a Piece>,
     near: &mut Vec<u16>,
 ) -> SmallVec<[Vertex<'a>; 4]> {
-    let room = super::certify::Room::around(&ends[0].near, &ends[1].near);
+    let room = Room::around(&ends[0].near, &ends[1].near);
     let mut points: SmallVec<[Vertex<'a>; 4]> = SmallVec::new();
     points.push(ends[0]);
     for piece in pieces.filter(|piece| piece.room.meets(&room)) {
@@ -479,7 +475,7 @@ fn hand_out(
 ) -> ControlFlow<()> {
     for ends in points.windows(2) {
         let ends = [ends[0].homogeneous(), ends[1].homogeneous()];
-        sink(Listed::Edge(ends, sides))?;
+        sink(Listed::Edge(&ends, sides))?;
     }
     ControlFlow::Continue(())
 }

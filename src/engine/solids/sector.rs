@@ -88,7 +88,7 @@ impl<'r, 'a> Boundary<'r, 'a> {
         line: &Line<'a>,
         own: &[Sheet<'a>],
     ) -> Rays<'a> {
-        let rays = self.rest_rays(own);
+        let rays = rest_rays(self.rays, own);
         let kind = match rays[..] {
             [(a, way), (b, _)] => kind_of_two(way * b.side * line.turn(arithmetic, a.face, b.face)),
             _ => EdgeKind::Crossing,
@@ -96,15 +96,18 @@ impl<'r, 'a> Boundary<'r, 'a> {
         let rays = rays.into_iter().map(|(ray, _)| ray).collect();
         Rays { rays, kind }
     }
+}
 
-    /// The rays of that rest, each with 1, or with -1 where its plane counts as turned about.
-    pub(super) fn rest_rays(self, own: &[Sheet<'a>]) -> SmallVec<[(Sheet<'a>, i32); 8]> {
-        let is_in = |ray: &Sheet<'a>, rays: &[Sheet<'a>]| rays.iter().any(|other| other.same(ray));
-        let turned = self.rays.iter().filter(|ray| !is_in(ray, own));
-        let turned = turned.map(|ray| (*ray, -1));
-        let kept = own.iter().filter(|ray| !is_in(ray, self.rays));
-        turned.chain(kept.map(|ray| (*ray, 1))).collect()
-    }
+/// The rays of [`Boundary::rest`], each with 1, or with -1 where its plane counts as turned about.
+pub(super) fn rest_rays<'a>(
+    union: &[Sheet<'a>],
+    own: &[Sheet<'a>],
+) -> SmallVec<[(Sheet<'a>, i32); 8]> {
+    let is_in = |ray: &Sheet<'a>, rays: &[Sheet<'a>]| rays.iter().any(|other| other.same(ray));
+    let turned = union.iter().filter(|ray| !is_in(ray, own));
+    let turned = turned.map(|ray| (*ray, -1));
+    let kept = own.iter().filter(|ray| !is_in(ray, union));
+    turned.chain(kept.map(|ray| (*ray, 1))).collect()
 }
 
 /// Of an edge with two sheets, one of which lies on this side of the other's plane: -1 inside. A convex one has it there.
