@@ -8,16 +8,19 @@
 //! in each oriented plane the sheets' edges are closed loops: the surface is closed without a search for what fits together. An interval is cut
 //! where another part touches it in a single point, too, so that no vertex lies between the ends of an interval.
 
+use std::hash::BuildHasher;
+use std::num::NonZero;
 use std::ops::ControlFlow;
 use std::sync::Arc;
+use std::thread::available_parallelism;
 
 use rustc_hash::{FxBuildHasher, FxHashMap};
 use smallvec::SmallVec;
-use std::hash::BuildHasher;
 
 use crate::geometry::Bounds;
 use crate::geometry::convex::Plane;
 
+use super::super::parallel::map_in_parallel;
 use super::bins::{Bins, meet};
 use super::body::{Body, SolidId};
 use super::certify::Room;
@@ -31,12 +34,19 @@ use super::piece::Piece;
 use super::sector::{Boundary, Sheet, Touch, rest_rays};
 use super::slots::{Part, Slots, State};
 use super::stock::{Stock, cut};
-use super::witnesses::Placed;
 use super::worker::Worker;
 use super::{Cursor, Neighbour, cursor};
 
-/// Parts between two questions whether to go on.
-const PARTS_AT_ONCE: u32 = 1 << 10;
+/// Parts that are looked at together, on several threads; between two questions whether to go on.
+const BATCH: usize = 1 << 8;
+
+/// The same, by the bytes of their pieces.
+const BATCH_BYTES: usize = 4 << 20;
+
+/// Parts that a thread takes at a time.
+const PARTS_AT_ONCE: usize = 8;
+
+const ARITHMETIC: Arithmetic = Arithmetic::Filtered;
 
 /// Bytes of prepared pieces that are kept.
 const PREPARED_BYTES: usize = 64 << 20;
@@ -90,8 +100,46 @@ pub struct Edges {
     cuts: Vec<Face>,
     /// Where the surface is open: planes of the box.
     open: Vec<Plane>,
+    /// One for each thread.
+    finders: Vec<Finder>,
+}
+
+/// What one thread needs.
+#[derive(Debug)]
+struct Finder {
     worker: Worker,
     scratch: Scratch,
+    near: Vec<u16>,
+}
+
+impl Finder {
+    fn new() -> Self {
+        Self {
+            worker: Worker::new(ARITHMETIC, None),
+            scratch: Scratch::default(),
+            near: Vec::new(),
+        }
+    }
+}
+
+/// A part, and those whose boxes meet its own, nearest first.
+struct Group {
+    own: Neighbour,
+    around: Vec<Neighbour>,
+}
+
+impl Group {
+    /// Those that may touch the part.
+    fn neighbours(&self) -> impl Iterator<Item = &Neighbour> {
+        let touches = |other: &&Neighbour| !self.own.piece.is_apart(&other.piece);
+        self.around.iter().filter(touches)
+    }
+}
+
+/// An edge and the surface there, before it is handed out.
+struct Edge {
+    ends: [Homogeneous; 2],
+    sides: SmallVec<[Side; 2]>,
 }
 
 /// A part of an edge of the union, before it is handed out.
@@ -135,7 +183,6 @@ impl Edges {
         bodies: impl Iterator<Item = (SolidId, Body)>,
         goes_on: &dyn Fn() -> bool,
     ) -> Option<Self> {
-        let arithmetic = Arithmetic::Filtered;
         let of_box = within.iter().flat_map(planes_around);
         let of_box: Vec<Face> = of_box.map(|plane| Face::of(&plane)).collect();
         let stock = match surface {
@@ -143,9 +190,10 @@ impl Edges {
             Surface::Removed(stock) | Surface::Remaining(stock) => Some(stock),
         };
         let material = match surface {
-            Surface::Remaining(stock) => cut(stock.solid(), &of_box, arithmetic).map(Arc::new),
+            Surface::Remaining(stock) => cut(stock.solid(), &of_box, ARITHMETIC).map(Arc::new),
             _ => None,
         };
+        let threads = available_parallelism().map_or(1, NonZero::get);
         let of_stock = stock.iter().flat_map(|stock| &stock.piece().faces);
         let mut edges = Self {
             bodies: FxHashMap::default(),
@@ -156,8 +204,7 @@ impl Edges {
             material,
             cuts: of_stock.chain(&of_box).copied().collect(),
             open: of_box.iter().map(|face| face.plane).collect(),
-            worker: Worker::new(arithmetic, None),
-            scratch: Scratch::default(),
+            finders: (0..threads).map(|_| Finder::new()).collect(),
         };
         edges.enter(within, bodies, goes_on)?;
         edges.testify(goes_on)?;
@@ -190,52 +237,100 @@ impl Edges {
             }
         }
         places.sort_unstable();
-        for (number, (_, id, index)) in (0_u32..).zip(places) {
-            if number.is_multiple_of(PARTS_AT_ONCE) && !goes_on() {
+        let parts = places.into_iter().map(|(_, id, index)| Part {
+            body: cursor(id),
+            index,
+        });
+        let parts: Vec<Part> = parts.collect();
+        for parts in parts.chunks(BATCH) {
+            if !goes_on() {
                 return None;
             }
-            let part = Part {
-                body: cursor(id),
-                index,
-            };
-            if let Some(piece) = prepare(&self.bodies, &self.cuts, part) {
+            let pieces = self.in_parallel(parts.len(), |edges, _, number| {
+                prepare(&edges.bodies, &edges.cuts, parts[number])
+            });
+            for (part, piece) in parts.iter().zip(pieces) {
+                let Some(piece) = piece else { continue };
                 let bounds = piece.bounds();
-                let slot = self.slots.insert(part, Some(Arc::new(piece)));
+                let slot = self.slots.insert(*part, Some(Arc::new(piece)));
                 self.bins.insert(slot, bounds);
                 self.parts = slot + 1;
-                self.slots.tidy();
             }
+            self.slots.tidy();
         }
         Some(())
     }
 
     /// Finds the live features of all parts, and with which part each plane is complete.
     fn testify(&mut self, goes_on: &dyn Fn() -> bool) -> Option<()> {
-        for slot in 0..self.parts {
-            if slot.is_multiple_of(PARTS_AT_ONCE) && !goes_on() {
+        let mut next = 0;
+        while next < self.parts {
+            if !goes_on() {
                 return None;
             }
-            let piece = self.piece(slot);
-            let neighbours = self.gather(&piece, slot);
-            let mut features = Features::live(piece.edges.len(), piece.faces.len());
-            let own = Placed {
-                piece: &piece,
-                slot,
-            };
-            let others = neighbours.iter().map(Neighbour::placed);
-            self.worker.testify_all(own, &mut features, others);
-            // What has an edge in a plane of this part touches the part.
-            let last = neighbours.iter().map(|other| other.slot).max();
-            let last = last.map_or(slot, |last| last.max(slot));
-            for facet in features.live_facets() {
-                let key = hash(&piece.face(facet).plane);
-                let known = self.last.entry(key).or_insert(last);
-                *known = last.max(*known);
+            let groups = self.batch(&mut next, |_| true);
+            let found = self.in_parallel(groups.len(), |_, finder, number| {
+                let group = &groups[number];
+                let Neighbour { slot, piece } = &group.own;
+                let mut features = Features::live(piece.edges.len(), piece.faces.len());
+                let neighbours: Vec<&Neighbour> = group.neighbours().collect();
+                let others = neighbours.iter().map(|other| other.placed());
+                let own = group.own.placed();
+                finder.worker.testify_all(own, &mut features, others);
+                // What has an edge in a plane of this part touches the part.
+                let last = neighbours.iter().map(|other| other.slot).max();
+                (features, last.map_or(*slot, |last| last.max(*slot)))
+            });
+            for (Group { own, .. }, (features, last)) in groups.iter().zip(found) {
+                for facet in features.live_facets() {
+                    let key = hash(&own.piece.face(facet).plane);
+                    let known = self.last.entry(key).or_insert(last);
+                    *known = last.max(*known);
+                }
+                self.slots.set_state(own.slot, State::Exposed(features));
             }
-            self.slots.set_state(slot, State::Exposed(features));
             self.slots.tidy();
         }
         Some(())
+    }
+
+    /// Parts from one on that are to be looked at, and what is around each; the next one is that after them.
+    fn batch(&mut self, next: &mut u32, is_wanted: impl Fn(&Features) -> bool) -> Vec<Group> {
+        let mut groups = Vec::with_capacity(BATCH);
+        let mut bytes = 0;
+        while *next < self.parts && groups.len() < BATCH && bytes < BATCH_BYTES {
+            let slot = *next;
+            *next += 1;
+            if matches!(self.slots.state(slot), State::Exposed(features) if !is_wanted(features)) {
+                continue;
+            }
+            let piece = self.piece(slot);
+            bytes += piece.size();
+            let around = self.bins.nearest(&piece.bounds(), slot).into_iter();
+            let around = around.map(|slot| Neighbour {
+                slot,
+                piece: self.piece(slot),
+            });
+            groups.push(Group {
+                around: around.collect(),
+                own: Neighbour { slot, piece },
+            });
+        }
+        groups
+    }
+
+    /// Runs a task for so many numbers, on several threads; the results in their order.
+    fn in_parallel<T: Send>(
+        &mut self,
+        count: usize,
+        task: impl Fn(&Self, &mut Finder, usize) -> T + Sync,
+    ) -> Vec<T> {
+        let mut finders = std::mem::take(&mut self.finders);
+        let results = map_in_parallel(&mut finders, count, PARTS_AT_ONCE, |finder, number| {
+            task(self, finder, number)
+        });
+        self.finders = finders;
+        results
     }
 
     /// The prepared piece of a part.
@@ -246,78 +341,59 @@ impl Edges {
         })
     }
 
-    /// The parts that may touch a piece, nearest first.
-    fn gather(&mut self, piece: &Piece, except: u32) -> Vec<Neighbour> {
-        let around = self.bins.nearest(&piece.bounds(), except);
-        let mut neighbours = Vec::with_capacity(around.len());
-        for slot in around {
-            let other = self.piece(slot);
-            if !piece.is_apart(&other) {
-                neighbours.push(Neighbour { slot, piece: other });
-            }
-        }
-        neighbours
-    }
-
-    /// Hands out all edges, until the sink breaks. O(parts), each in its neighbourhood.
+    /// Hands out all edges, until the sink breaks; some parts at a time on several threads. O(parts), each in its neighbourhood.
     pub fn each(&mut self, sink: &mut dyn FnMut(Listed) -> ControlFlow<()>) -> ControlFlow<()> {
-        for slot in 0..self.parts {
-            let features = self.slots.features(slot);
-            let is_idle =
-                features.live_edges().next().is_none() && features.live_facets().next().is_none();
-            if !is_idle {
-                self.each_of(slot, sink)?;
-                self.slots.tidy();
+        let is_live = |features: &Features| {
+            features.live_edges().next().is_some() || features.live_facets().next().is_some()
+        };
+        let mut next = 0;
+        while next < self.parts {
+            let groups = self.batch(&mut next, is_live);
+            let found = self.in_parallel(groups.len(), |edges, finder, number| {
+                edges.found_by(&groups[number], finder)
+            });
+            for (group, found) in groups.iter().zip(found) {
+                for Edge { ends, sides } in &found {
+                    sink(Listed::Edge(ends, sides))?;
+                }
+                sink(Listed::Part(group.own.slot))?;
             }
-            sink(Listed::Part(slot))?;
+            self.slots.tidy();
+            sink(Listed::Part(next - 1))?;
         }
         self.each_bare(sink)?;
         sink(Listed::Part(u32::MAX))
     }
 
-    /// Hands out the edges that a part is to find.
-    fn each_of(
-        &mut self,
-        slot: u32,
-        sink: &mut dyn FnMut(Listed) -> ControlFlow<()>,
-    ) -> ControlFlow<()> {
-        let piece = self.piece(slot);
-        let neighbours = self.gather(&piece, slot);
-        let own = Neighbour { slot, piece };
-        let members: Vec<Member> = std::iter::once(&own)
-            .chain(&neighbours)
+    /// The edges that a part is to find.
+    fn found_by(&self, group: &Group, finder: &mut Finder) -> Vec<Edge> {
+        let members: Vec<Member> = std::iter::once(&group.own)
+            .chain(group.neighbours())
             .map(|one| Member {
                 piece: &one.piece,
                 features: self.slots.features(one.slot),
                 slot: one.slot,
             })
             .collect();
-        let arithmetic = self.worker.arithmetic;
         let mut found = Found::default();
-        let mut search = Search::new(arithmetic, &members, &mut self.scratch, &mut found);
+        let mut search = Search::new(ARITHMETIC, &members, &mut finder.scratch, &mut found);
         search.own_edges();
         search.crossings_with_later();
         let body_of = |member: u32| {
             let slot = members[member as usize].slot;
             self.bodies[&self.slots.part(slot).body].0
         };
-        let mut near = Vec::new();
+        let near = &mut finder.near;
+        let mut edges = Vec::with_capacity(found.0.len());
         for interval in &found.0 {
-            let sides = self.sides(interval, &body_of, &mut near);
-            if sides.is_empty() {
-                continue;
+            let sides = self.sides(interval, &body_of, near);
+            if !sides.is_empty() {
+                let Interval { line, ends, .. } = interval;
+                let pieces = members.iter().map(|member| member.piece);
+                enter(&split(line, ends, pieces, near), &sides, &mut edges);
             }
-            let pieces = members.iter().map(|member| member.piece);
-            let points = split(
-                arithmetic,
-                &interval.line,
-                &interval.ends,
-                pieces,
-                &mut near,
-            );
-            hand_out(&points, &sides, sink)?;
         }
-        ControlFlow::Continue(())
+        edges
     }
 
     /// The sides of the surface along an interval.
@@ -326,17 +402,16 @@ impl Edges {
         interval: &Interval,
         body_of: &dyn Fn(u32) -> SolidId,
         near: &mut Vec<u16>,
-    ) -> SmallVec<[Side; 4]> {
+    ) -> SmallVec<[Side; 2]> {
         let Interval { line, ends, rays } = interval;
         let of_union = |ray: &Sheet| (ray.face.plane, ray.side, Some(body_of(ray.member)));
         let turned = |ray: &Sheet| {
             let (plane, side, body) = of_union(ray);
             (plane.opposite(), -side, body)
         };
-        let arithmetic = self.worker.arithmetic;
         let around = self.material.as_ref().map(|material| {
-            let touch = touch_along(arithmetic, material, ends, near);
-            touch.map(|touch| touch.rays(arithmetic, line))
+            let touch = touch_along(ARITHMETIC, material, ends, near);
+            touch.map(|touch| touch.rays(ARITHMETIC, line))
         });
         match around {
             None => self.exposed(rays.iter().map(of_union)),
@@ -355,7 +430,7 @@ impl Edges {
     fn exposed(
         &self,
         rays: impl Iterator<Item = (Plane, i32, Option<SolidId>)>,
-    ) -> SmallVec<[Side; 4]> {
+    ) -> SmallVec<[Side; 2]> {
         let rays: SmallVec<[(Plane, i32, Option<SolidId>); 8]> = rays.collect();
         let is_flat = |(plane, side, _): &(Plane, i32, _)| {
             let goes_on = |other: &(Plane, i32, _)| other.0 == *plane && other.1 == -side;
@@ -378,7 +453,6 @@ impl Edges {
         let Some(material) = self.material.clone() else {
             return ControlFlow::Continue(());
         };
-        let arithmetic = self.worker.arithmetic;
         let mut near = Vec::new();
         for edge in &material.edges {
             let faces = [material.face(edge.left), material.face(edge.right)];
@@ -389,22 +463,26 @@ impl Edges {
             for slot in self.bins.nearest(&room.bounds(), u32::MAX) {
                 let piece = self.piece(slot);
                 let both = [&ends[0], &ends[1]];
-                let is_in = clip(arithmetic, &piece, &line, both, &mut 0, &mut near).is_some();
-                if is_in || contact(arithmetic, &piece, &line, both, &mut near).is_some() {
+                let is_in = clip(ARITHMETIC, &piece, &line, both, &mut 0, &mut near).is_some();
+                if is_in || contact(ARITHMETIC, &piece, &line, both, &mut near).is_some() {
                     pieces.push(piece);
                 }
                 self.slots.tidy();
             }
             let touch = Touch::edge(0, [edge.left, edge.right], faces);
-            let rays = touch.rays(arithmetic, &line);
+            let rays = touch.rays(ARITHMETIC, &line);
             let sides = self.exposed(rays.iter().map(|ray| (ray.face.plane, ray.side, None)));
             if sides.is_empty() {
                 continue;
             }
-            for ends in bare(arithmetic, &line, ends, &pieces, &mut near) {
+            let mut edges = Vec::new();
+            for ends in bare(&line, ends, &pieces, &mut near) {
                 let pieces = pieces.iter().map(|piece| &**piece);
-                let points = split(arithmetic, &line, &ends, pieces, &mut near);
-                hand_out(&points, &sides, sink)?;
+                let points = split(&line, &ends, pieces, &mut near);
+                enter(&points, &sides, &mut edges);
+            }
+            for Edge { ends, sides } in &edges {
+                sink(Listed::Edge(ends, sides))?;
             }
         }
         ControlFlow::Continue(())
@@ -413,7 +491,6 @@ impl Edges {
 
 /// The intervals of a segment that are in no piece, but for single points.
 fn bare<'a>(
-    arithmetic: Arithmetic,
     line: &Line<'a>,
     ends: [Vertex<'a>; 2],
     pieces: &'a [Arc<Piece>],
@@ -424,7 +501,7 @@ fn bare<'a>(
         let mut left = Vec::with_capacity(open.len() + 1);
         for ends in open {
             let both = [&ends[0], &ends[1]];
-            match clip(arithmetic, piece, line, both, &mut 0, near) {
+            match clip(ARITHMETIC, piece, line, both, &mut 0, near) {
                 None => left.push(ends),
                 Some(inside) => {
                     left.extend(inside.enters.map(|enters| [ends[0], enters]));
@@ -439,7 +516,6 @@ fn bare<'a>(
 
 /// The ends of an interval, and in order between them the points where pieces touch it.
 fn split<'a>(
-    arithmetic: Arithmetic,
     line: &Line<'a>,
     ends: &[Vertex<'a>; 2],
     pieces: impl Iterator<Item = &'a Piece>,
@@ -449,15 +525,15 @@ fn split<'a>(
     let mut points: SmallVec<[Vertex<'a>; 4]> = SmallVec::new();
     points.push(ends[0]);
     for piece in pieces.filter(|piece| piece.room.meets(&room)) {
-        let Some(point) = contact(arithmetic, piece, line, [&ends[0], &ends[1]], near) else {
+        let Some(point) = contact(ARITHMETIC, piece, line, [&ends[0], &ends[1]], near) else {
             continue;
         };
         // A plane through the new point tells the others' places along the line.
         let face = point.crossing_face();
-        let way = side(arithmetic, face, &ends[1]).0;
+        let way = side(ARITHMETIC, face, &ends[1]).0;
         let places = points
             .iter()
-            .map(|other| way * side(arithmetic, face, other).0);
+            .map(|other| way * side(ARITHMETIC, face, other).0);
         let places: SmallVec<[i32; 4]> = places.collect();
         if !places.contains(&0) {
             let before = places.iter().filter(|place| **place < 0).count();
@@ -468,16 +544,12 @@ fn split<'a>(
     points
 }
 
-fn hand_out(
-    points: &[Vertex],
-    sides: &[Side],
-    sink: &mut dyn FnMut(Listed) -> ControlFlow<()>,
-) -> ControlFlow<()> {
-    for ends in points.windows(2) {
-        let ends = [ends[0].homogeneous(), ends[1].homogeneous()];
-        sink(Listed::Edge(&ends, sides))?;
-    }
-    ControlFlow::Continue(())
+/// Enters the parts of an interval.
+fn enter(points: &[Vertex], sides: &SmallVec<[Side; 2]>, edges: &mut Vec<Edge>) {
+    edges.extend(points.windows(2).map(|ends| Edge {
+        ends: [ends[0].homogeneous(), ends[1].homogeneous()],
+        sides: sides.clone(),
+    }));
 }
 
 /// A part, as far as it lies on the inner side of all cuts.
@@ -488,7 +560,7 @@ fn prepare(
 ) -> Option<Piece> {
     let index = usize::try_from(part.index).expect("a body has few parts");
     let solid = bodies[&part.body].1.part(index);
-    cut(&solid, cuts, Arithmetic::Filtered)
+    cut(&solid, cuts, ARITHMETIC)
 }
 
 /// The planes half a step around a box.
