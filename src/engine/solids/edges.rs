@@ -41,7 +41,7 @@ use super::{Cursor, Neighbour, cursor};
 const BATCH: usize = 1 << 8;
 
 /// The same, by the bytes of their pieces.
-const BATCH_BYTES: usize = 4 << 20;
+const BATCH_BYTES: usize = 2 << 20;
 
 /// Parts that a thread takes at a time.
 const PARTS_AT_ONCE: usize = 8;
@@ -49,7 +49,7 @@ const PARTS_AT_ONCE: usize = 8;
 const ARITHMETIC: Arithmetic = Arithmetic::Filtered;
 
 /// Bytes of prepared pieces that are kept.
-const PREPARED_BYTES: usize = 64 << 20;
+const PREPARED_BYTES: usize = 32 << 20;
 
 /// Which surface, and of which stock.
 #[derive(Clone, Copy, Debug)]
