@@ -16,7 +16,7 @@ use union3d::engine::solids::{
     VOLUME_UNIT,
 };
 use union3d::geometry::Bounds;
-use union3d::geometry::convex::{Point, Solid};
+use union3d::geometry::convex::{Cutter, End, Fit, Point, Solid};
 
 /// Scenes of a random test: few in debug, many where they are fast.
 fn rounds(release: u64) -> u64 {
@@ -241,10 +241,8 @@ fn check_closed(faces: &[Face], within: Option<Bounds>) {
         let offset = dot(face.normal, face.edges[0][0]);
         for [tail, head] in &face.edges {
             for end in [tail, head] {
-                assert!(
-                    (dot(face.normal, *end) - offset).abs() < 1e-12,
-                    "it is plane"
-                );
+                let off = (dot(face.normal, *end) - offset).abs();
+                assert!(off < 1e-12 * (1.0 + length(*end)), "it is plane: {off}");
                 vertices.insert(key(*end), *end);
             }
             assert_ne!(tail, head);
@@ -261,10 +259,7 @@ fn check_closed(faces: &[Face], within: Option<Bounds>) {
             at.values().all(|balance| *balance == 0),
             "its edges are loops: {face:?}"
         );
-        let plane = (
-            face.normal.map(|part| (part * 1e9).round() as i64),
-            (offset * 1e9).round() as i64,
-        );
+        let plane = (key(face.normal), (offset * 1e6).round() as i64);
         assert!(planes.insert(plane), "a plane has one face");
     }
     assert!(
@@ -379,6 +374,56 @@ fn neighbouring_boxes_share_out_every_face() {
                     "seed {seed}, {region:?}: {found} {whole}"
                 );
             }
+        }
+    }
+}
+
+/// Round tools on paths that cross, and go along the stock's own faces.
+#[test]
+fn what_is_milled_has_a_closed_surface() {
+    for seed in 0..rounds(60) {
+        let mut random = Random::new(seed);
+        let diameter = 1_000 * u32::try_from(random.within(1, 4)).unwrap();
+        let cutter = Cutter {
+            end: match random.below(2) {
+                0 => End::Flat,
+                _ => End::Round {
+                    corner_diameter: diameter,
+                    rings: 3,
+                },
+            },
+            diameter,
+            length: 10_000,
+            sides: 8,
+            fit: Fit::EqualArea,
+        };
+        let tool = Arc::new(Shape::new(vec![cutter.solid().unwrap().0]).unwrap());
+        let mut at = [0; 3];
+        let bodies = (0..random.within(5, 40)).map(|_| {
+            let from = point(at);
+            match random.below(4) {
+                0 => at[0] = 500 * random.within(-4, 4),
+                1 => at[1] = 500 * random.within(-4, 4),
+                2 => at[2] = -500 * random.within(0, 3),
+                _ => at = [(); 3].map(|()| random.within(-2_000, 2_000)),
+            }
+            Body::swept(&tool, from, point(at)).unwrap()
+        });
+        let scene = Scene {
+            bodies: (0..).map(SolidId).zip(bodies).collect(),
+            stock: Some(
+                Stock::new(solid_of_box(&Bounds {
+                    min: [-2_000, -2_500, -1_500],
+                    max: [2_000, 2_500, 1_000],
+                }))
+                .unwrap(),
+            ),
+        };
+        for region in [Region::Removed, Region::Remaining, Region::Union] {
+            let faces = scene.faces(region, None);
+            check_closed(&faces, None);
+            let context = format!("seed {seed}, {region:?}");
+            check_measures(&faces, &scene.measures(region), &context);
         }
     }
 }

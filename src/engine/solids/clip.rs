@@ -125,15 +125,17 @@ pub(super) fn clip<'a>(
     })
 }
 
-/// The one point that a segment and a piece have in common, where it is a single one between the segment's ends. O(facets).
+/// The one point that a segment and a piece have in common, where it is a single one between the segment's ends. `first` as of [`clip`].
+/// O(facets).
 pub(super) fn contact<'a>(
     arithmetic: Arithmetic,
     piece: &'a Piece,
     line: &Line<'a>,
     ends: [&Vertex<'a>; 2],
+    first: &mut u16,
     near: &mut Vec<u16>,
 ) -> Option<Vertex<'a>> {
-    list_near(arithmetic, piece, ends, &mut 0, near)?;
+    list_near(arithmetic, piece, ends, first, near)?;
     let [mut tail, mut head] = [*ends[0], *ends[1]];
     let (mut enters, mut leaves) = (false, false);
     for &facet in near.iter() {

@@ -28,6 +28,7 @@ use super::clip::{Line, clip, contact};
 use super::exact::Homogeneous;
 use super::face::{Arithmetic, Face, Vertex, side};
 use super::features::Features;
+use super::lanes::{Rooms, next_meeting};
 use super::lines::{Member, Scratch, Sink, touch_along};
 use super::marginal::Search;
 use super::piece::Piece;
@@ -176,7 +177,8 @@ impl<'a> Sink<'a> for Found<'a> {
 
 impl Edges {
     /// Of these bodies, as far as they lie in a closed box of lattice points and half a step around it, where there is one. The surface is open
-    /// there: no facet of a lattice solid lies in such a plane. O(bodies), each in its neighbourhood. None when `goes_on`, which is asked now and then, says no.
+    /// there: no facet of a lattice solid lies in such a plane. O(bodies), each in its neighbourhood, on several threads. None when `goes_on`,
+    /// which is asked now and then, says no.
     pub fn of(
         surface: Surface,
         within: Option<Bounds>,
@@ -383,14 +385,16 @@ impl Edges {
             let slot = members[member as usize].slot;
             self.bodies[&self.slots.part(slot).body].0
         };
+        let pieces = members.iter().map(|member| member.piece);
+        let mut around = Around::new(pieces, &finder.scratch.rooms);
         let near = &mut finder.near;
         let mut edges = Vec::with_capacity(found.0.len());
         for interval in &found.0 {
             let sides = self.sides(interval, &body_of, near);
             if !sides.is_empty() {
                 let Interval { line, ends, .. } = interval;
-                let pieces = members.iter().map(|member| member.piece);
-                enter(&split(line, ends, pieces, near), &sides, &mut edges);
+                let points = split(line, ends, &mut around, near);
+                enter(&points, &sides, &mut edges);
             }
         }
         edges
@@ -464,7 +468,7 @@ impl Edges {
                 let piece = self.piece(slot);
                 let both = [&ends[0], &ends[1]];
                 let is_in = clip(ARITHMETIC, &piece, &line, both, &mut 0, &mut near).is_some();
-                if is_in || contact(ARITHMETIC, &piece, &line, both, &mut near).is_some() {
+                if is_in || contact(ARITHMETIC, &piece, &line, both, &mut 0, &mut near).is_some() {
                     pieces.push(piece);
                 }
                 self.slots.tidy();
@@ -475,10 +479,12 @@ impl Edges {
             if sides.is_empty() {
                 continue;
             }
+            let mut rooms = Vec::new();
+            Rooms::of(pieces.iter().map(|piece| piece.room), &mut rooms);
+            let mut around = Around::new(pieces.iter().map(|piece| &**piece), &rooms);
             let mut edges = Vec::new();
             for ends in bare(&line, ends, &pieces, &mut near) {
-                let pieces = pieces.iter().map(|piece| &**piece);
-                let points = split(&line, &ends, pieces, &mut near);
+                let points = split(&line, &ends, &mut around, &mut near);
                 enter(&points, &sides, &mut edges);
             }
             for Edge { ends, sides } in &edges {
@@ -514,18 +520,41 @@ fn bare<'a>(
     open
 }
 
+/// Pieces that may touch an interval.
+struct Around<'a, 'w> {
+    pieces: Vec<&'a Piece>,
+    rooms: &'w [Rooms],
+    /// For each piece the block of planes that separated last.
+    firsts: Vec<u16>,
+}
+
+impl<'a, 'w> Around<'a, 'w> {
+    fn new(pieces: impl Iterator<Item = &'a Piece>, rooms: &'w [Rooms]) -> Self {
+        let pieces: Vec<&Piece> = pieces.collect();
+        Self {
+            firsts: vec![0; pieces.len()],
+            pieces,
+            rooms,
+        }
+    }
+}
+
 /// The ends of an interval, and in order between them the points where pieces touch it.
 fn split<'a>(
     line: &Line<'a>,
     ends: &[Vertex<'a>; 2],
-    pieces: impl Iterator<Item = &'a Piece>,
+    around: &mut Around<'a, '_>,
     near: &mut Vec<u16>,
 ) -> SmallVec<[Vertex<'a>; 4]> {
     let room = Room::around(&ends[0].near, &ends[1].near);
     let mut points: SmallVec<[Vertex<'a>; 4]> = SmallVec::new();
     points.push(ends[0]);
-    for piece in pieces.filter(|piece| piece.room.meets(&room)) {
-        let Some(point) = contact(ARITHMETIC, piece, line, [&ends[0], &ends[1]], near) else {
+    let mut next = 0;
+    while let Some(index) = next_meeting(around.rooms, &room, next) {
+        next = index + 1;
+        let (piece, first) = (around.pieces[index], &mut around.firsts[index]);
+        let both = [&ends[0], &ends[1]];
+        let Some(point) = contact(ARITHMETIC, piece, line, both, first, near) else {
             continue;
         };
         // A plane through the new point tells the others' places along the line.

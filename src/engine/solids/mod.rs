@@ -10,6 +10,7 @@
 //!                                     ├─ covered   bins of the parts that the exposed ones cover: never neighbours
 //!                                     └─ totals    += or -= marginal(part | its exposed neighbours)
 //! ```
+//! The same kernel lists the edges of a union with the surface around them, for those who want to see it: [`Edges`].
 //!
 //! # Claim: totals are a function of the set alone
 //! Exact: which points are vertices of the union, which edges and facets meet there, every predicate. Rounded, once and half away from zero: the
