@@ -315,7 +315,7 @@ fn check_measures(faces: &[Face], (measures, error): &(Measures, ErrorMax), cont
 
 #[test]
 fn the_surface_is_closed_and_has_the_measures_of_the_union() {
-    for seed in 0..rounds(10_000) {
+    for seed in 0..rounds(4_000) {
         let scene = Scene::random(&mut Random::new(seed), false);
         let faces = scene.faces(Region::Union, None);
         check_closed(&faces, None);
@@ -330,7 +330,7 @@ fn the_surface_is_closed_and_has_the_measures_of_the_union() {
 
 #[test]
 fn in_a_stock_so_have_what_is_removed_and_what_remains() {
-    for seed in 0..rounds(10_000) {
+    for seed in 0..rounds(2_000) {
         let scene = Scene::random(&mut Random::new(seed), true);
         for region in [Region::Removed, Region::Remaining, Region::Union] {
             let faces = scene.faces(region, None);
@@ -343,7 +343,7 @@ fn in_a_stock_so_have_what_is_removed_and_what_remains() {
 
 #[test]
 fn neighbouring_boxes_share_out_every_face() {
-    for seed in 0..rounds(4_000) {
+    for seed in 0..rounds(1_000) {
         let mut random = Random::new(seed);
         let scene = Scene::random(&mut random, true);
         let cuts = random_point(&mut random, 6).map(|cut| i32::try_from(cut).unwrap());
@@ -499,7 +499,7 @@ fn winding(face: &Face, [u, v]: [usize; 2], outward: i32, quarters: [i32; 3]) ->
 
 #[test]
 fn faces_of_boxes_are_those_of_voxels() {
-    for seed in 0..rounds(4_000) {
+    for seed in 0..rounds(1_000) {
         let mut random = Random::new(seed);
         let side = random.within(2, 6);
         let boxes: Vec<Bounds> = (0..random.within(1, 9))
