@@ -545,6 +545,16 @@ fn without_a_stock_nothing_is_removed_and_nothing_remains() {
 }
 
 #[test]
+fn a_listing_is_a_function_of_the_set_alone() {
+    for seed in 0..rounds(200) {
+        let mut scene = Scene::random(&mut Random::new(seed), true);
+        let faces = scene.faces(Region::Remaining, None);
+        scene.bodies.reverse();
+        assert_eq!(scene.faces(Region::Remaining, None), faces, "seed {seed}");
+    }
+}
+
+#[test]
 fn a_listing_ends_when_it_is_told_to() {
     let scene = Scene::random(&mut Random::new(1), false);
     let list = |goes_on: bool, count: usize| {
