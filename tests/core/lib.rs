@@ -1,6 +1,14 @@
-//! The exact core alone, geometry and engine, from the same sources: what needs no server is compiled optimised in seconds, and
+//! The exact core alone, geometry, engine and the faces that it lists, from the same sources: what needs no server is compiled optimised in seconds, and
 //! its tests, which take far longer without optimisation, run so.
 
+/// Without what is made of faces.
+#[path = "../../src/boundary"]
+pub mod boundary {
+    mod face;
+    pub mod solids;
+
+    pub use face::{Face, FaceSink, NoStock, Region};
+}
 #[path = "../../src/engine/mod.rs"]
 pub mod engine;
 #[path = "../../src/geometry/mod.rs"]

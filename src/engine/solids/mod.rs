@@ -10,6 +10,7 @@
 //!                                     ├─ covered   bins of the parts that the exposed ones cover: never neighbours
 //!                                     └─ totals    += or -= marginal(part | its exposed neighbours)
 //! ```
+//! The same kernel lists the edges of a union with the surface around them, for those who want to see it: [`Edges`].
 //!
 //! # Claim: totals are a function of the set alone
 //! Exact: which points are vertices of the union, which edges and facets meet there, every predicate. Rounded, once and half away from zero: the
@@ -37,6 +38,7 @@ mod clip;
 mod contact;
 mod contains;
 mod double;
+mod edges;
 mod exact;
 mod excerpt;
 mod face;
@@ -72,6 +74,8 @@ pub use body::{Body, InvalidBody, PARTS_MAX, Shape, SolidId};
 use certify::Room;
 pub use contact::Added;
 pub use contains::Around;
+pub use edges::{Edges, Listed, Side, Surface};
+pub use exact::Homogeneous;
 use face::Arithmetic;
 use features::Features;
 pub use judge::{Judged, Op, Rejected};
@@ -452,19 +456,7 @@ impl Engine {
 
     /// The exposed parts whose boxes meet that of a piece, nearest first.
     fn near(&self, piece: &Piece, except: u32) -> Vec<u32> {
-        let bounds = piece.bounds();
-        let mut around = Vec::new();
-        self.exposed.visit(&bounds, |slot, other| {
-            if slot != except {
-                let middle = |bounds: &Bounds, axis: usize| {
-                    i64::from(bounds.min[axis]) + i64::from(bounds.max[axis])
-                };
-                let distance = |axis| middle(&bounds, axis).abs_diff(middle(other, axis));
-                around.push((distance(0) + distance(1) + distance(2), slot));
-            }
-        });
-        around.sort_unstable();
-        around.into_iter().map(|(_, slot)| slot).collect()
+        self.exposed.nearest(&piece.bounds(), except)
     }
 
     /// The exposed parts that may touch a piece, nearest first.
