@@ -517,7 +517,7 @@ impl Plane {
                         let low = square.corner[across];
                         let is_beside = [low < line, line < low + self.edge][left];
                         let first = square.corner[along];
-                        let covers = first <= begin && end <= first + self.edge;
+                        let covers = first < end && begin < first + self.edge;
                         is_beside && covers && square.is_face() && square.is_there[level]
                     });
                     let least = owners.map(|square| square.id).chain(face.body).min();
