@@ -7,6 +7,8 @@
 
 extern crate union3d_core as union3d;
 
+#[path = "../boundary_slice.rs"]
+mod boundary_slice;
 #[path = "../boundary_solids.rs"]
 mod boundary_solids;
 #[path = "../convex.rs"]

@@ -5,6 +5,8 @@
 #[path = "../../src/boundary"]
 pub mod boundary {
     mod face;
+    pub mod section;
+    pub mod slice;
     pub mod solids;
 
     pub use face::{Face, FaceSink, NoStock, Region};
