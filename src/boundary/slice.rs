@@ -141,9 +141,8 @@ impl Slice {
         };
         let ring = |ring: &Polygon| {
             let points = ring.iter();
-            let point = |point: &GridPoint| {
-                Ok(GridPoint::new(coordinate(point.x)?, coordinate(point.y)?))
-            };
+            let point =
+                |point: &GridPoint| Ok(GridPoint::new(coordinate(point.x)?, coordinate(point.y)?));
             points.map(point).collect::<Result<Polygon, TooFar>>()
         };
         let shape = |shape: &Shape| {
@@ -222,9 +221,7 @@ fn area2(ring: &[GridPoint]) -> i128 {
 
 /// Whether rounding alone can have made a ring.
 fn is_thin(ring: &[GridPoint]) -> bool {
-    let around: f64 = sides(ring)
-        .map(|[dx, dy]| float(dx).hypot(float(dy)))
-        .sum();
+    let around: f64 = sides(ring).map(|[dx, dy]| float(dx).hypot(float(dy))).sum();
     // A long thin ring is as wide as its area over half of its length.
     float(area2(ring).abs()) <= THIN_MAX * around
 }

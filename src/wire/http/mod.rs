@@ -19,6 +19,7 @@ mod problem;
 mod reads;
 mod request;
 mod scenes;
+mod slice;
 mod solids;
 
 use std::any::Any;
@@ -141,6 +142,8 @@ fn unbounded_routes() -> Vec<Route> {
         ),
         ("/v1/scenes/{scene}/audit", post(reads::post_audit)),
         ("/v1/scenes/{scene}/backup", get(backup::get_backup)),
+        ("/v1/scenes/{scene}/slice", get(slice::get_slice)),
+        ("/v1/overlay", get(slice::get_overlay)),
     ]
 }
 
