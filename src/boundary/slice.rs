@@ -1,6 +1,6 @@
 //! What a plane cuts of a union: polygons with holes, from the sections of the bodies.
 //!
-//! The union in the plane is i_overlay's, over integers of 64 bits: where two edges cross, the crossing is rounded to the grid of
+//! The union in the plane is that of the crate `i_overlay`, over integers of 64 bits: where two edges cross, the crossing is rounded to the grid of
 //! [`super::section`], `2^-30` of a lattice step. Edges along the axes cross in lattice points, so that the slice of boxes whose corners are
 //! lattice points is exact, and so are its area and perimeter until they become floats.
 //!

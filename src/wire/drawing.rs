@@ -9,7 +9,7 @@ use crate::boundary::section::{GRID_BITS, GridPoint};
 use crate::boundary::slice::Slice;
 use crate::wire::convert::float;
 
-/// A polygon with holes. Rings are closed as in GeoJSON: the last point is the first again.
+/// A polygon with holes. Rings are closed: the last point is the first again.
 #[derive(Clone, PartialEq, Debug, Serialize, ToSchema)]
 #[schema(as = Polygon)]
 pub(super) struct PolygonDocument {

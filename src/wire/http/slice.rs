@@ -199,8 +199,8 @@ enum Places {
 impl Places {
     fn of(query: &Known) -> Result<Self, Problem> {
         if query.text("at").is_some() {
-            let with = ["from", "to", "step"].into_iter();
-            if let Some(name) = with.into_iter().find(|name| query.text(name).is_some()) {
+            let mut with = ["from", "to", "step"].into_iter();
+            if let Some(name) = with.find(|name| query.text(name).is_some()) {
                 let detail = "cannot stand together with at";
                 let sent = query.text(name).unwrap_or_default();
                 return Err(Fault::in_parameter(name, detail, sent).into());
@@ -228,7 +228,7 @@ impl Places {
         }
         // The last is there when it is as near as reading decimals can have moved it.
         let count = ((to - from) / step + 1e-9).floor() + 1.0;
-        if !(count <= SLICES_MAX) {
+        if count > SLICES_MAX {
             let detail = format!("makes more than {SLICES_MAX} slices");
             return Err(Fault::in_parameter("step", detail, shown("step")).into());
         }
