@@ -1,9 +1,11 @@
-//! The boundary of a union as faces: what engines list, and what meshes and pictures are made of.
+//! The boundary of a union as faces: what engines list, and what meshes and pictures are made of; and where planes cut it.
 
 pub mod cubes;
 mod face;
 pub mod mesh;
 pub mod mesh_file;
+pub mod section;
+pub mod slice;
 pub mod solids;
 
 pub use face::{Face, FaceSink, NoStock, Region};

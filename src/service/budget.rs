@@ -23,7 +23,7 @@ pub enum Client {
     At(IpAddr),
     /// Those who are not known by an address.
     Unknown,
-    /// Audits, whoever asks for them.
+    /// Audits, slices and what else reads a scene as a whole, whoever asks for it.
     Audits,
 }
 

@@ -63,7 +63,7 @@ pub use machine::{Disk, memory_limit_bytes};
 pub use memory::MemoryScene;
 pub use meters::{Meter, describe_metrics};
 pub use offline::{AnyAudit, Offline, OfflineAudit};
-pub use reading::Reading;
+pub use reading::{Reading, Selected};
 pub use registry::Service;
 pub use scene::{Scene, SceneOf};
 pub use solids::{NamedShape, SHAPES_MAX, Shapes, SolidTotals, Solids};

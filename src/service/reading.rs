@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use parking_lot::Mutex;
 use tokio::sync::OwnedSemaphorePermit;
 
-use super::budget::Client;
+use super::budget::{Client, Share};
 use super::copying::{Copying, GivenUp};
 use super::feed::Feed;
 use super::kind::SceneKind;
@@ -107,6 +107,19 @@ impl<K: SceneKind> Reading<K> {
     }
 }
 
+/// Some bodies of a scene as of one seq, in memory that the budget has for them.
+#[derive(Debug)]
+pub struct Selected<K: SceneKind> {
+    /// The seq that they are as of.
+    pub seq: Seq,
+    /// They, in the order of the listing.
+    pub bodies: Vec<K::Body>,
+    /// The block that they are cut from, if any.
+    pub stock: Option<K::Stock>,
+    /// What they may take, and what is made of them: given back when it is dropped.
+    pub share: Share,
+}
+
 /// Sets a flag when it goes: nobody waits any more.
 pub(super) struct Cancelling(pub(super) Arc<AtomicBool>);
 
@@ -122,6 +135,44 @@ impl<K: SceneKind> SceneOf<K> {
     pub async fn read_all(self: &Arc<Self>) -> Result<Reading<K>, ServiceError> {
         let room = self.readings.clone().acquire_owned().await;
         Reading::new(self, CHANGED_MAX, Some(room.expect("it is never closed")))
+    }
+
+    /// Those bodies, as of the newest seq, of which `wanted` says how many bytes they and what is made of them may take. O(bodies), in memory
+    /// those that are wanted. Waits while as many readings as may be are under way.
+    /// # Errors
+    /// [`ServiceError::MemoryUsed`] when there is not as much memory; those of [`Reading::next`].
+    pub async fn select(
+        self: &Arc<Self>,
+        wanted: impl Fn(&K::Body) -> Option<u64>,
+    ) -> Result<Selected<K>, ServiceError> {
+        let mut reading = self.read_all().await?;
+        let seq = reading.seq();
+        let mut share = self.setup.budget.share(Client::Audits);
+        let mut bodies = Vec::new();
+        loop {
+            let some = reading.next(AUDITED_AT_ONCE).await?;
+            if some.is_empty() {
+                break;
+            }
+            let mut bytes = 0;
+            let sized = some
+                .into_iter()
+                .filter_map(|(_, body)| Some((wanted(&body)?, body)));
+            bodies.extend(sized.map(|(size, body)| {
+                bytes += size;
+                body
+            }));
+            if !share.take(bytes) {
+                return Err(ServiceError::MemoryUsed { wanted: bytes });
+            }
+        }
+        let header = self.header().expect("a scene that runs has a header");
+        Ok(Selected {
+            seq,
+            bodies,
+            stock: header.stock.clone(),
+            share,
+        })
     }
 
     /// All bodies as of one seq, in the order of the listing, in memory. O(bodies).

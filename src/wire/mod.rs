@@ -19,6 +19,7 @@ pub mod decode;
 mod decoded;
 pub mod documents;
 pub mod door;
+mod drawing;
 pub mod grpc;
 pub mod http;
 mod kind;
@@ -27,6 +28,7 @@ mod objects;
 mod open;
 pub mod problem;
 mod room;
+mod slices;
 pub mod solids;
 mod vector;
 

@@ -9,6 +9,8 @@ extern crate union3d_core as union3d;
 
 #[path = "../boundary_cubes.rs"]
 mod boundary_cubes;
+#[path = "../boundary_slice.rs"]
+mod boundary_slice;
 #[path = "../boundary_solids.rs"]
 mod boundary_solids;
 #[path = "../convex.rs"]

@@ -7,6 +7,8 @@ pub mod boundary {
     pub mod cubes;
     mod face;
     pub mod mesh;
+    pub mod section;
+    pub mod slice;
     pub mod solids;
 
     pub use face::{Face, FaceSink, NoStock, Region};

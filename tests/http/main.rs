@@ -19,6 +19,7 @@ mod revert;
 mod scenes;
 mod server;
 mod simulation;
+mod slice;
 mod solids;
 #[path = "../oracle/stop.rs"]
 mod stop;

@@ -90,6 +90,9 @@ pub const CALLS: &[Call] = &[
     both("Contains", "GET /v1/scenes/{scene}/contains", READ),
     http("GetMesh", "GET /v1/scenes/{scene}/mesh", READ),
     http("GetBackup", "GET /v1/scenes/{scene}/backup", READ),
+    http("GetSlice", "GET /v1/scenes/{scene}/slice", READ),
+    // Of two scenes, which the handler looks at.
+    http("GetOverlay", "GET /v1/overlay", Need::AnyKey),
     both("AuditScene", "POST /v1/scenes/{scene}/audit", READ),
     both("ListScenes", "GET /v1/scenes", Need::AnyKey),
     http("GetMetrics", "GET /metrics", Need::All(Right::Read)),

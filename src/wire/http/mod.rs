@@ -21,6 +21,7 @@ mod problem;
 mod reads;
 mod request;
 mod scenes;
+mod slice;
 mod solids;
 
 use std::any::Any;
@@ -145,6 +146,8 @@ fn unbounded_routes() -> Vec<Route> {
         ("/v1/scenes/{scene}/audit", post(reads::post_audit)),
         ("/v1/scenes/{scene}/mesh", get(mesh::get_mesh)),
         ("/v1/scenes/{scene}/backup", get(backup::get_backup)),
+        ("/v1/scenes/{scene}/slice", get(slice::get_slice)),
+        ("/v1/overlay", get(slice::get_overlay)),
     ]
 }
 

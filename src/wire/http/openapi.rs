@@ -19,7 +19,7 @@ use utoipa::{Modify, OpenApi};
 use super::problem::ProblemDocument;
 use super::{
     backup, batch, changes, contains, cubes, exposition, history, mesh, operate, reads, scenes,
-    solids,
+    slice, solids,
 };
 use crate::wire::access::{Need, of_http};
 use crate::wire::problem::{Code, Kind};
@@ -35,7 +35,7 @@ use crate::wire::problem::{Code, Kind};
         scenes::put_scene, scenes::get_scenes, scenes::get_scene, scenes::delete_scene,
         changes::post_changes, batch::post_batch, changes::post_revert, changes::delete_cube,
         reads::get_mass_properties, reads::stream_mass_properties, history::get_history, reads::post_audit,
-        backup::get_backup, mesh::get_mesh,
+        backup::get_backup, mesh::get_mesh, slice::get_slice, slice::get_overlay,
         cubes::get_cube, cubes::get_cubes, contains::get_contains,
         solids::put_shape, solids::get_solid, solids::get_solids, solids::delete_solid,
         operate::get_healthz, operate::get_readyz, exposition::get_metrics, get_openapi,
@@ -49,6 +49,7 @@ use crate::wire::problem::{Code, Kind};
         (name = "mass properties", description = "What is measured, now, in the past and as it changes"),
         (name = "cubes", description = "The cubes themselves"),
         (name = "solids", description = "Solids, and the shapes that they are made of"),
+        (name = "pictures", description = "What the union looks like: where a plane cuts it"),
         (name = "operation", description = "For those who run the service"),
     )
 )]
@@ -200,10 +201,11 @@ fn complete_parameter(parameter: &mut Map<String, Value>) {
 /// What a call may fail with, besides [`EVERY_CALL`] and, where a scene must answer, [`EVERY_SCENE`].
 fn failures(operation: &str) -> &'static [Code] {
     use Code::{
-        AuditDifference, BadJson, BadProtobuf, DiskFull, IdConflict, KeyReused, MemoryUsed,
-        NoSuchCube, NoSuchPath, NotReachable, OtherKind, QueueFull, ReadTooSlowly, Recovering,
-        RequestTimeout, SceneExists, SceneFull, SeqNotKept, SeqNotReached, ShapeExists,
-        ShuttingDown, StorageFailed, TooLarge, TooManyScenes, UnsupportedMediaType, WaitTimeout,
+        AuditDifference, BadJson, BadProtobuf, DiskFull, Forbidden, IdConflict, KeyReused,
+        MemoryUsed, NoSuchCube, NoSuchPath, NoSuchScene, NotReachable, OtherKind, QueueFull,
+        ReadTooSlowly, Recovering, RequestTimeout, SceneDamaged, SceneExists, SceneFull,
+        SceneStopped, SeqNotKept, SeqNotReached, ShapeExists, ShuttingDown, StorageFailed,
+        TooLarge, TooManyScenes, UnsupportedMediaType, WaitTimeout,
     };
     match operation {
         "put_scene" => &[
@@ -278,6 +280,18 @@ fn failures(operation: &str) -> &'static [Code] {
         ],
         "get_cubes" | "get_solids" => &[ReadTooSlowly],
         "get_mesh" => &[MemoryUsed, ReadTooSlowly, StorageFailed, DiskFull],
+        "get_slice" => &[ReadTooSlowly, MemoryUsed],
+        "get_overlay" => &[
+            Forbidden,
+            NoSuchScene,
+            Recovering,
+            SceneStopped,
+            SceneDamaged,
+            DiskFull,
+            ShuttingDown,
+            ReadTooSlowly,
+            MemoryUsed,
+        ],
         "get_backup" => &[StorageFailed, DiskFull],
         "get_readyz" => &[Recovering],
         "get_problem" => &[NoSuchPath],

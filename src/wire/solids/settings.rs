@@ -199,6 +199,11 @@ impl SolidSettings {
         scale.with_rounding(self.rounding)
     }
 
+    /// Label of the user unit.
+    pub fn unit(&self) -> &str {
+        &self.unit
+    }
+
     /// Mass of a cubic user unit.
     pub fn density(&self) -> f64 {
         self.density
