@@ -32,6 +32,7 @@ export class Tiles {
 
     constructor(
         private readonly scene: string,
+        private readonly steps: number,
         part: Part,
         private readonly renderer: Renderer,
         private readonly tell: (text: string, refused: Refused | null) => void,
@@ -72,7 +73,7 @@ export class Tiles {
         const longest = Math.max(...box.max.map((high, axis) => high - box.min[axis]!));
         if (!(longest > 0)) return;
         const few = (totals.solids ?? totals.cubes ?? 0) <= ONE_TILE_BODIES;
-        const size = few ? Infinity : 2 ** Math.ceil(Math.log2(longest / 6));
+        const size = few ? Infinity : 2 ** Math.ceil(Math.log2((longest * this.steps) / 6)) / this.steps;
         if (size !== this.size) {
             this.size = size;
             this.tiles = [];
@@ -86,7 +87,8 @@ export class Tiles {
                 for (let z = ranges[2]![0]; z <= ranges[2]![1]; z += 1) {
                     const name = `${x},${y},${z}`;
                     const at = [x, y, z] as Vector;
-                    const whole = { min: at.map((index) => index * size) as Vector, max: at.map((index) => (index + 1) * size) as Vector };
+                    // Tiles end a step before the next one: so every face is in one of them.
+                    const whole = { min: at.map((index) => index * size) as Vector, max: at.map((index) => (index + 1) * size - 1 / this.steps) as Vector };
                     tiles.push(known.get(name) ?? { name, box: few ? box : whole, seq: -1 });
                 }
         for (const tile of this.tiles) if (!tiles.includes(tile)) this.renderer.remove(tile.name);
@@ -122,12 +124,13 @@ export class Tiles {
         let left = queue.length;
         const worker = async (): Promise<void> => {
             for (let tile = queue.shift(); tile && !signal.aborted; tile = queue.shift()) {
-                const box = this.size === Infinity ? "" : `&box=${[...tile.box.min, ...tile.box.max].join(",")}`;
+                const box = this.size === Infinity ? "" : `&box=${[...tile.box.min, ...tile.box.max].map((value) => Number(value.toFixed(9))).join(",")}`;
                 const answer = await ask(`${scenePath(this.scene)}/mesh?part=${this.part}&format=stl${box}`, { signal });
                 const mesh = readStl(await answer.arrayBuffer());
                 if (signal.aborted) return;
                 this.renderer.set(tile.name, mesh);
-                tile.seq = totals.seq;
+                // The seq that it is of, which may be newer than what was asked for: the entity tag ends with it.
+                tile.seq = Number(/-(\d+)"$/.exec(answer.headers.get("etag") ?? "")?.[1] ?? totals.seq);
                 left -= 1;
                 this.tell(left > 0 && stale.length > 1 ? `${left} of ${this.tiles.length} tiles to come` : "", null);
             }

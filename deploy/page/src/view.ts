@@ -31,7 +31,7 @@ export class View3d {
         choice.addEventListener("change", () => this.tiles?.show(choice.value as Part));
         try {
             this.renderer = new Renderer(canvas, signal);
-            this.tiles = new Tiles(scene.name, part, this.renderer, (text, refused) => this.tell(text, refused), signal);
+            this.tiles = new Tiles(scene.name, scene.steps_per_unit ?? 1, part, this.renderer, (text, refused) => this.tell(text, refused), signal);
         } catch (error) {
             this.status.textContent = `No picture: ${(error as Error).message}.`;
         }
