@@ -17,6 +17,7 @@
 //! |---|---|---|
 //! | [`geometry`] | lattice, cubes, octant masks, weights, measures, convex solids: integers only | I/O, async, serde, floats |
 //! | [`engine`] | the grid, the kernel, the set of cubes and its totals; in [`engine::solids`] the same of convex solids | the same, and who asks |
+//! | [`boundary`] | faces of the union in floats, meshes of them | the log, who asks |
 //! | [`log`] | records, snapshots, SQLite, checksums | the engine, async, the wire |
 //! | [`service`] | scenes, their writers, queues, recovery | HTTP, gRPC, JSON, user units |
 //! | [`wire`] | HTTP, gRPC, JSON, protobuf, user units, problems | the log, the grid |
@@ -36,6 +37,7 @@
 //!   `tests/grpc/access.rs` try every call.
 //! - Damage to a file is refused with its place, and never gives a wrong total: [`log`], `tests/log.rs`.
 
+pub mod boundary;
 pub mod config;
 #[deny(clippy::float_arithmetic)]
 pub mod engine;

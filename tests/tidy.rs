@@ -5,12 +5,13 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Which module may name which others. Imports point one way: wire -> service -> {log, engine} -> geometry.
-const MAY_NAME: [(&str, &[&str]); 7] = [
+const MAY_NAME: [(&str, &[&str]); 8] = [
     ("geometry", &[]),
     ("engine", &["geometry"]),
     ("log", &["geometry"]),
     ("service", &["engine", "geometry", "log"]),
-    ("wire", &["engine", "geometry", "service"]),
+    ("boundary", &["engine", "geometry"]),
+    ("wire", &["boundary", "engine", "geometry", "service"]),
     ("toolpath", &[]),
     ("config", &["service", "wire"]),
 ];

@@ -279,6 +279,16 @@ impl Client {
         self.send(self.http.get(self.below("backup"))).await
     }
 
+    /// Its mesh, as it comes.
+    pub(crate) async fn mesh(
+        &self,
+        query: &[(&str, String)],
+    ) -> Result<reqwest::Response, Failure> {
+        let mut url = self.below("mesh");
+        url.query_pairs_mut().extend_pairs(query);
+        self.send(self.http.get(url)).await
+    }
+
     /// Names of the server's scenes.
     pub(crate) async fn scene_names(
         server: &str,

@@ -6,6 +6,7 @@ mod client;
 mod credentials;
 mod cutter;
 mod demo;
+mod export;
 mod input;
 mod key;
 mod measure;
@@ -42,6 +43,7 @@ enum Command {
     Path(path::Args),
     Measure(measure::Args),
     Audit(audit::Args),
+    Export(export::Args),
     Backup(backup::Args),
     Restore(restore::Args),
     Key(key::Args),
@@ -56,6 +58,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Path(args) => path::run(args),
         Command::Measure(args) => measure::run(args),
         Command::Audit(args) => audit::run(args),
+        Command::Export(args) => export::run(args),
         Command::Backup(args) => backup::run(args),
         Command::Restore(args) => restore::run(args),
         Command::Key(args) => key::run(args),

@@ -14,7 +14,7 @@ use crate::geometry::{CubeId, Place};
 use super::prefetch::{AHEAD, prefetch};
 
 /// Position in the listing of a scene's cubes; the order is fixed by the ids alone, whatever the history.
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
 pub struct Cursor(pub u64);
 
 impl Cursor {

@@ -22,6 +22,7 @@ mod batch_ids;
 mod bins;
 mod covered_cells;
 mod extents;
+pub mod faces;
 mod grid;
 mod ids;
 mod judge;

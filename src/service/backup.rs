@@ -70,6 +70,22 @@ fn storage(error: &io::Error) -> ServiceError {
     }
 }
 
+impl ServiceError {
+    /// A file beside the scenes cannot be written.
+    pub fn of_storage(error: &io::Error) -> Self {
+        storage(error)
+    }
+}
+
+impl<K: SceneKind> SceneOf<K> {
+    /// An empty file without a name, where the scenes are: its space is given back when it is closed.
+    /// # Errors
+    /// The disk's.
+    pub fn scratch(&self) -> io::Result<File> {
+        tempfile::tempfile_in(self.directory.parent().unwrap_or(&self.directory))
+    }
+}
+
 impl Offline {
     /// Copies a scene's log into a file that is not there yet, once every checksum of it was compared: the seq that the copy is as of.
     /// # Errors

@@ -35,7 +35,7 @@ use super::{
 use crate::engine::solids::Body;
 use crate::engine::{Cursor, Side};
 use crate::geometry::convex::Point;
-use crate::geometry::{CubeId, Edge, Place, Stock};
+use crate::geometry::{CubeId, Edge, Place};
 use crate::log::{Cubes, Header, HistoryReader, LogError, write_ahead_bytes};
 
 /// What all scenes of a service share.
@@ -433,11 +433,6 @@ impl Scene {
         Edge::new(i64::from(steps)).expect("an edge is checked before its header is kept")
     }
 
-    /// The material that its cubes are cut from, if any. None while its log has not been opened.
-    pub fn stock(&self) -> Option<Stock> {
-        self.header.get().and_then(|header| header.stock)
-    }
-
     /// Where a cube is.
     pub async fn cube(&self, id: CubeId) -> Result<Option<Place>, ServiceError> {
         self.body(id).await
@@ -468,6 +463,13 @@ impl SceneOf<Solids> {
             (view.seq(), side, solid)
         })
         .await
+    }
+}
+
+impl<K: SceneKind> SceneOf<K> {
+    /// The material that its bodies are cut from, if any. None while its log has not been opened.
+    pub fn stock(&self) -> Option<K::Stock> {
+        self.header.get().and_then(|header| header.stock.clone())
     }
 }
 

@@ -7,6 +7,10 @@
 
 extern crate union3d_core as union3d;
 
+#[path = "../boundary_cubes.rs"]
+mod boundary_cubes;
+#[path = "../boundary_solids.rs"]
+mod boundary_solids;
 #[path = "../convex.rs"]
 mod convex;
 #[path = "../engine.rs"]

@@ -9,6 +9,7 @@ mod ids;
 #[path = "../oracle/keys.rs"]
 mod keys;
 mod memory;
+mod mesh;
 #[path = "../oracle/random.rs"]
 mod random;
 mod reads;

@@ -98,6 +98,22 @@ impl Bins {
         }
     }
 
+    /// The other pieces whose boxes meet that of a piece, nearest first.
+    pub(super) fn nearest(&self, bounds: &Bounds, except: u32) -> Vec<u32> {
+        let mut around = Vec::new();
+        self.visit(bounds, |slot, other| {
+            if slot != except {
+                let middle = |bounds: &Bounds, axis: usize| {
+                    i64::from(bounds.min[axis]) + i64::from(bounds.max[axis])
+                };
+                let distance = |axis| middle(bounds, axis).abs_diff(middle(other, axis));
+                around.push((distance(0) + distance(1) + distance(2), slot));
+            }
+        });
+        around.sort_unstable();
+        around.into_iter().map(|(_, slot)| slot).collect()
+    }
+
     /// Bytes that it takes, without the allocator's own.
     pub(super) fn size(&self) -> usize {
         let bin = |bin: &Vec<Entry>| bin.capacity() * size_of::<Entry>();

@@ -30,6 +30,12 @@ impl<'a> Line<'a> {
         }
     }
 
+    /// The line in which two facets of a piece meet, with the first to its left.
+    pub(super) fn along(faces: [&'a Face; 2]) -> Self {
+        let [left, right] = faces.map(|face| face.plane.normal());
+        Self::new(faces, exact::cross_wide(left, right))
+    }
+
     /// On which side of `face` the ray of `of` lies that is to the left of the line, seen from outside `of`: the sign of
     /// `face.n . (of.n x direction)`. Both planes hold the line.
     pub(super) fn turn(&self, arithmetic: Arithmetic, face: &Face, of: &Face) -> i32 {
@@ -85,22 +91,7 @@ pub(super) fn clip<'a>(
     first: &mut u16,
     near: &mut Vec<u16>,
 ) -> Option<Inside<'a>> {
-    if arithmetic == Arithmetic::Filtered {
-        let points = [&ends[0].near, &ends[1].near];
-        let verdict = separate(&piece.blocks, points, usize::from(*first), near);
-        #[cfg(feature = "paranoid")]
-        check_verdict(piece, ends, verdict, near);
-        if let Verdict::Apart(block) = verdict {
-            *first = u16::try_from(block).expect("a piece has fewer than 2^16 facets");
-            return None;
-        }
-    } else {
-        near.clear();
-        near.extend(
-            (0..piece.faces.len())
-                .map(|facet| u16::try_from(facet).expect("fewer than 2^16 facets")),
-        );
-    }
+    list_near(arithmetic, piece, ends, first, near)?;
     let [mut tail, mut head] = [*ends[0], *ends[1]];
     let (mut enters, mut leaves) = (None, None);
     let mut facets = SmallVec::new();
@@ -132,6 +123,73 @@ pub(super) fn clip<'a>(
         leaves,
         facets,
     })
+}
+
+/// The one point that a segment and a piece have in common, where it is a single one between the segment's ends. O(facets).
+pub(super) fn contact<'a>(
+    arithmetic: Arithmetic,
+    piece: &'a Piece,
+    line: &Line<'a>,
+    ends: [&Vertex<'a>; 2],
+    near: &mut Vec<u16>,
+) -> Option<Vertex<'a>> {
+    list_near(arithmetic, piece, ends, &mut 0, near)?;
+    let [mut tail, mut head] = [*ends[0], *ends[1]];
+    let (mut enters, mut leaves) = (false, false);
+    for &facet in near.iter() {
+        let face = piece.face(facet);
+        let (at_tail, tail_value) = side(arithmetic, face, &tail);
+        let (at_head, head_value) = side(arithmetic, face, &head);
+        let values = [tail_value, head_value];
+        let (point, is_between) = match (at_tail, at_head) {
+            (1, 1) => return None,
+            (0, 1) => (tail, enters),
+            (1, 0) => (head, leaves),
+            (1, _) => {
+                tail = line.cut(face, [&tail, &head], values);
+                enters = true;
+                continue;
+            }
+            (_, 1) => {
+                head = line.cut(face, [&tail, &head], values);
+                leaves = true;
+                continue;
+            }
+            _ => continue,
+        };
+        let mut others = near.iter().map(|other| piece.face(*other));
+        let holds = |face: &Face| side(arithmetic, face, &point).0 <= 0;
+        return (is_between && others.all(holds)).then_some(point);
+    }
+    None
+}
+
+/// Lists the facets of a piece that may have an end of a segment not inside; none when both are outside of one. `first` is the block of
+/// planes to begin with, and becomes one that separated.
+fn list_near(
+    arithmetic: Arithmetic,
+    piece: &Piece,
+    ends: [&Vertex; 2],
+    first: &mut u16,
+    near: &mut Vec<u16>,
+) -> Option<()> {
+    if arithmetic == Arithmetic::Exact {
+        near.clear();
+        near.extend(
+            (0..piece.faces.len())
+                .map(|facet| u16::try_from(facet).expect("fewer than 2^16 facets")),
+        );
+        return Some(());
+    }
+    let points = [&ends[0].near, &ends[1].near];
+    let verdict = separate(&piece.blocks, points, usize::from(*first), near);
+    #[cfg(feature = "paranoid")]
+    check_verdict(piece, ends, verdict, near);
+    if let Verdict::Apart(block) = verdict {
+        *first = u16::try_from(block).expect("a piece has fewer than 2^16 facets");
+        return None;
+    }
+    Some(())
 }
 
 /// Compares what the filter says with exact signs.

@@ -44,11 +44,13 @@ pub(super) fn parallel(a: &Plane, b: &Plane) -> bool {
     n == m || (n[0] == -m[0] && n[1] == -m[1] && n[2] == -m[2])
 }
 
-/// A point in homogeneous coordinates: x, y, z over w. `w` is not 0, of either sign.
+/// A point in homogeneous coordinates. Range: the numerators below `2^170`, the denominator below `2^138`.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Homogeneous {
-    pub(super) x: [I256; 3],
-    pub(super) w: I256,
+pub struct Homogeneous {
+    /// The numerators of the coordinates. Units: steps.
+    pub x: [I256; 3],
+    /// Their denominator: not 0, of either sign.
+    pub w: I256,
 }
 
 impl Homogeneous {

@@ -71,7 +71,15 @@ pub(super) struct Vertex<'a> {
     pub(super) place: Place<'a>,
 }
 
-impl Vertex<'_> {
+impl<'a> Vertex<'a> {
+    /// The face that a line was cut by, of a point that was found so.
+    pub(super) fn crossing_face(&self) -> &'a Face {
+        match self.place {
+            Place::Meeting([_, _, face]) => face,
+            Place::Lattice(_) => unreachable!("a cut is where planes meet"),
+        }
+    }
+
     /// Exactly where it is.
     pub(super) fn homogeneous(&self) -> Homogeneous {
         match self.place {

@@ -72,11 +72,12 @@ use super::certify::{Near, Room};
 use super::clip::Line;
 use super::double::{Doubles, RELATIVE_ERROR, cross, dot};
 use super::exact::{Flag, Homogeneous, Quantity, Unit};
-use super::face::{Arithmetic, Place, Vertex, exact_side};
-use super::lanes::{Verdict, separate, twice};
+use super::face::{Arithmetic, Place, Vertex};
+use super::lanes::twice;
+use super::lines::{Sink, touch_along};
 use super::measures::{AREA_UNIT, ErrorMax, LENGTH_UNIT, Measures, VOLUME_UNIT};
 use super::piece::Piece;
-use super::sector::{Boundary, Sheet, Touch};
+use super::sector::{Boundary, Sheet};
 use super::vector::{LANES, Lanes, Plain, Vector};
 
 /// Size classes: coordinates below `2^0` to `2^31`.
@@ -267,6 +268,47 @@ struct Flags {
     class_max: u8,
 }
 
+/// Sheets along intervals, so many times; those that stay in an exchange need no flags.
+impl<'a> Sink<'a> for Ledger {
+    fn post(
+        &mut self,
+        line: &Line<'a>,
+        ends: &[Vertex<'a>; 2],
+        rays: Boundary<'_, 'a>,
+        weight: i8,
+    ) {
+        let stock = self.stock.clone();
+        let books = self.books(stock.as_deref(), line, ends, rays);
+        self.enter(line, ends, &books, weight);
+    }
+
+    fn exchange(
+        &mut self,
+        line: &Line<'a>,
+        ends: &[Vertex<'a>; 2],
+        [before, after]: [Boundary<'_, 'a>; 2],
+    ) {
+        let stock = self.stock.clone();
+        let mut before = self.books(stock.as_deref(), line, ends, before);
+        let mut after = self.books(stock.as_deref(), line, ends, after);
+        // What stays needs no flags. The stock, and so the number of lists, is the same before and after.
+        for (before, after) in before.iter_mut().zip(&mut after) {
+            if before.kinds != after.kinds {
+                continue;
+            }
+            before.list.retain(|old| {
+                let stays = after.list.iter().position(|new| new.same(old));
+                if let Some(index) = stays {
+                    after.list.remove(index);
+                }
+                stays.is_none()
+            });
+        }
+        self.enter(line, ends, &before, -1);
+        self.enter(line, ends, &after, 1);
+    }
+}
+
 impl Ledger {
     pub(super) fn new(arithmetic: Arithmetic, stock: Option<Arc<Piece>>) -> Self {
         let mut tables = Box::new(Tables {
@@ -305,46 +347,6 @@ impl Ledger {
         }
     }
 
-    /// Adds the sheets along an interval, so many times.
-    pub(super) fn post(
-        &mut self,
-        line: &Line,
-        ends: &[Vertex; 2],
-        rays: Boundary<'_, '_>,
-        weight: i8,
-    ) {
-        let stock = self.stock.clone();
-        let books = self.books(stock.as_deref(), line, ends, rays);
-        self.enter(line, ends, &books, weight);
-    }
-
-    /// Takes the sheets of a union before away and adds those after along one interval.
-    pub(super) fn exchange(
-        &mut self,
-        line: &Line,
-        ends: &[Vertex; 2],
-        [before, after]: [Boundary<'_, '_>; 2],
-    ) {
-        let stock = self.stock.clone();
-        let mut before = self.books(stock.as_deref(), line, ends, before);
-        let mut after = self.books(stock.as_deref(), line, ends, after);
-        // What stays needs no flags. The stock, and so the number of lists, is the same before and after.
-        for (before, after) in before.iter_mut().zip(&mut after) {
-            if before.kinds != after.kinds {
-                continue;
-            }
-            before.list.retain(|old| {
-                let stays = after.list.iter().position(|new| new.same(old));
-                if let Some(index) = stays {
-                    after.list.remove(index);
-                }
-                stays.is_none()
-            });
-        }
-        self.enter(line, ends, &before, -1);
-        self.enter(line, ends, &after, 1);
-    }
-
     /// What rays around an interval are in each book.
     fn books<'a>(
         &mut self,
@@ -357,7 +359,7 @@ impl Ledger {
         let Some(stock) = stock else {
             return smallvec![Sheets::of(rays, [kind, NOWHERE], 1)];
         };
-        let Some(around) = self.around(stock, ends) else {
+        let Some(around) = touch_along(self.arithmetic, stock, ends, &mut self.near) else {
             // Within the stock: the same sheets, and convex becomes concave.
             let rest = match rays.kind {
                 EdgeKind::Convex => EdgeKind::Concave,
@@ -377,33 +379,6 @@ impl Ledger {
             Sheets::of(rest.view(), [NOWHERE, rest.kind as u8], 1),
             Sheets::of(own, [NOWHERE, own.kind as u8], -1),
         ]
-    }
-
-    /// How the boundary of the stock goes along an interval in it; none inside.
-    fn around<'a>(&mut self, stock: &'a Piece, ends: &[Vertex; 2]) -> Option<Touch<'a>> {
-        if self.arithmetic == Arithmetic::Filtered {
-            let points = [&ends[0].near, &ends[1].near];
-            let verdict = separate(&stock.blocks, points, 0, &mut self.near);
-            assert_eq!(verdict, Verdict::Undecided, "all pieces lie in the stock");
-        } else {
-            let facets = u16::try_from(stock.faces.len()).expect("fewer than 2^16 facets");
-            self.near.clear();
-            self.near.extend(0..facets);
-        }
-        let holds = |facet: &u16| {
-            let face = stock.face(*facet);
-            ends.iter().all(|end| exact_side(face, end) == 0)
-        };
-        self.near.retain(holds);
-        match self.near[..] {
-            [] => None,
-            [facet] => Some(Touch::facet(0, facet, stock.face(facet))),
-            [a, b] => {
-                let faces = [stock.face(a), stock.face(b)];
-                Some(Touch::edge(0, [a, b], faces))
-            }
-            _ => unreachable!("at most two facets of a convex piece hold a line"),
-        }
     }
 
     /// Enters sheets along an interval, so many times.

@@ -3,7 +3,7 @@
 //! ```text
 //!   segment ── clip by each neighbour ──> inside one: dropped
 //!                                         touching one: an interval of its own, and one more piece around it
-//!           ──> intervals, each with the pieces around it ── sector ──> sheets ── ledger
+//!           ──> intervals, each with the pieces around it ── sector ──> sheets ── sink
 //! ```
 //! Every interval is found by several candidates; the sector names the one that posts it.
 
@@ -13,12 +13,11 @@ use crate::geometry::EdgeKind;
 
 use super::certify::{Near, Room};
 use super::clip::{Inside, Line, clip};
-use super::face::{Arithmetic, Vertex};
+use super::face::{Arithmetic, Vertex, exact_side};
 use super::features::Features;
 use super::lanes::{Rooms, Verdict, next_meeting, separate};
-use super::ledger::Ledger;
 use super::piece::Piece;
-use super::sector::{Rays, Sector, Sheet, Touch};
+use super::sector::{Boundary, Rays, Sector, Sheet, Touch};
 
 /// A piece of the neighbourhood. The first one is the piece whose marginal is sought.
 #[derive(Clone, Copy)]
@@ -61,22 +60,31 @@ struct Interval<'a> {
     is_in_new: bool,
 }
 
+/// Takes what is found along an interval.
+pub(super) trait Sink<'a> {
+    /// The boundary around an edge of the union, so many times.
+    fn post(&mut self, line: &Line<'a>, ends: &[Vertex<'a>; 2], rays: Boundary<'_, 'a>, weight: i8);
+
+    /// The boundary around an interval before and after.
+    fn exchange(&mut self, line: &Line<'a>, ends: &[Vertex<'a>; 2], around: [Boundary<'_, 'a>; 2]);
+}
+
 /// Looks at candidates, one after the other.
-pub(super) struct Candidates<'a, 'w> {
+pub(super) struct Candidates<'a, 'w, S> {
     pub(super) arithmetic: Arithmetic,
     pub(super) members: &'a [Member<'a>],
     pub(super) scratch: &'w mut Scratch,
-    pub(super) ledger: &'w mut Ledger,
+    pub(super) sink: &'w mut S,
 }
 
-impl<'a> Candidates<'a, '_> {
+impl<'a, S: Sink<'a>> Candidates<'a, '_, S> {
     /// Which of two equal pieces around a line stays: the one with a live feature there, then the one of lower slot.
     fn order(&self, touch: &Touch<'a>) -> u64 {
         let Member {
             piece,
             features,
             slot,
-        } = self.members[touch.member];
+        } = self.members[touch.member()];
         let is_live = match *touch.facets() {
             [facet] => features.is_facet_live(facet),
             [a, b] => piece
@@ -114,7 +122,7 @@ impl<'a> Candidates<'a, '_> {
         phase: Phase,
     ) {
         let arithmetic = self.arithmetic;
-        let except = [finders[0].member, finders[finders.len() - 1].member];
+        let except = [finders[0].member(), finders[finders.len() - 1].member()];
         let rays: SmallVec<[[Sheet<'a>; 2]; 2]> = finders
             .iter()
             .map(|finder| finder.rays(arithmetic, line))
@@ -216,15 +224,15 @@ impl<'a> Candidates<'a, '_> {
             // Nothing else is around.
             let rays = self.alone(line, finders, rays);
             match phase {
-                Phase::After => self.ledger.post(line, ends, rays.view(), 1),
-                Phase::Before => self.ledger.post(line, ends, rays.view(), -1),
+                Phase::After => self.sink.post(line, ends, rays.view(), 1),
+                Phase::Before => self.sink.post(line, ends, rays.view(), -1),
             }
             return;
         }
         match phase {
             Phase::After => {
                 if let Some(rays) = self.around(line, interval, finders, true) {
-                    self.ledger.post(line, ends, rays.view(), 1);
+                    self.sink.post(line, ends, rays.view(), 1);
                 }
             }
             Phase::Before => {
@@ -235,11 +243,11 @@ impl<'a> Candidates<'a, '_> {
                     .flatten();
                 match (before, after) {
                     (Some(before), Some(after)) => {
-                        self.ledger
+                        self.sink
                             .exchange(line, ends, [before.view(), after.view()]);
                     }
-                    (Some(before), None) => self.ledger.post(line, ends, before.view(), -1),
-                    (None, Some(after)) => self.ledger.post(line, ends, after.view(), 1),
+                    (Some(before), None) => self.sink.post(line, ends, before.view(), -1),
+                    (None, Some(after)) => self.sink.post(line, ends, after.view(), 1),
                     (None, None) => {}
                 }
             }
@@ -254,10 +262,9 @@ impl<'a> Candidates<'a, '_> {
                 kind: EdgeKind::Convex,
             };
         };
-        let (f, g) = (f.faces()[0], g.faces()[0]);
-        let outside = |face: &'a _, other: &_| Sheet {
-            face,
-            side: line.turn(self.arithmetic, other, face),
+        let outside = |of: &Touch<'a>, other: &Touch<'a>| {
+            let (face, other) = (of.faces()[0], other.faces()[0]);
+            of.sheet(face, line.turn(self.arithmetic, other, face))
         };
         Rays {
             rays: SmallVec::from_slice(&[outside(f, g), outside(g, f)]),
@@ -274,13 +281,14 @@ impl<'a> Candidates<'a, '_> {
         with_new: bool,
     ) -> Option<Rays<'a>> {
         let touches = interval.touches.iter().copied();
-        let touches = touches.filter(|touch| with_new || touch.member != NEW);
+        let touches = touches.filter(|touch| with_new || touch.member() != NEW);
         let order = |touch: &Touch<'a>| self.order(touch);
         let sector = Sector::of(self.arithmetic, line, touches, order);
         let [a, b] = sector.finders(order)?;
         let (f, g) = (finders[0], finders[finders.len() - 1]);
         // An edge is found by one member, a crossing by two.
-        let are_these = (a == f.member && b == g.member) || (a == g.member && b == f.member);
+        let are_these =
+            (a == f.member() && b == g.member()) || (a == g.member() && b == f.member());
         are_these.then(|| sector.rays())
     }
 }
@@ -292,5 +300,34 @@ fn touch_of<'a>(member: usize, piece: &'a Piece, inside: &Inside<'a>) -> Option<
         [facet] => Some(Touch::facet(member, facet, piece.face(facet))),
         [a, b] => Some(Touch::edge(member, [a, b], [piece.face(a), piece.face(b)])),
         _ => unreachable!("at most two facets hold a line"),
+    }
+}
+
+/// How the boundary of a piece goes along an interval that lies in it; none inside.
+pub(super) fn touch_along<'a>(
+    arithmetic: Arithmetic,
+    piece: &'a Piece,
+    ends: &[Vertex; 2],
+    near: &mut Vec<u16>,
+) -> Option<Touch<'a>> {
+    if arithmetic == Arithmetic::Filtered {
+        let points = [&ends[0].near, &ends[1].near];
+        let verdict = separate(&piece.blocks, points, 0, near);
+        assert_eq!(verdict, Verdict::Undecided, "the interval lies in it");
+    } else {
+        let facets = u16::try_from(piece.faces.len()).expect("fewer than 2^16 facets");
+        near.clear();
+        near.extend(0..facets);
+    }
+    let holds = |facet: &u16| {
+        let face = piece.face(*facet);
+        ends.iter().all(|end| exact_side(face, end) == 0)
+    };
+    near.retain(holds);
+    match near[..] {
+        [] => None,
+        [facet] => Some(Touch::facet(0, facet, piece.face(facet))),
+        [a, b] => Some(Touch::edge(0, [a, b], [piece.face(a), piece.face(b)])),
+        _ => unreachable!("at most two facets of a convex piece hold a line"),
     }
 }

@@ -27,7 +27,7 @@ use super::features::Features;
 use super::lanes::Sides;
 use super::lanes::{Rooms, separates, sides};
 use super::ledger::{Books, Ledger};
-use super::lines::{Candidates, Member, NEW, Phase, Scratch};
+use super::lines::{Candidates, Member, NEW, Phase, Scratch, Sink};
 use super::measures::{ErrorMax, Measures};
 use super::piece::Piece;
 use super::sector::Touch;
@@ -134,39 +134,58 @@ impl Kernel {
 
     /// Posts what the first member changes.
     fn search(&mut self, members: &[Member]) {
-        let scratch = &mut self.scratch;
+        let mut search = Search::new(
+            self.arithmetic,
+            members,
+            &mut self.scratch,
+            &mut self.ledger,
+        );
+        search.own_edges();
+        search.edges_in_new();
+        search.crossings();
+    }
+}
+
+/// Looks for all candidates among some members.
+pub(super) struct Search<'a, 'w, S> {
+    candidates: Candidates<'a, 'w, S>,
+    members: &'a [Member<'a>],
+}
+
+impl<'a, 'w, S: Sink<'a>> Search<'a, 'w, S> {
+    pub(super) fn new(
+        arithmetic: Arithmetic,
+        members: &'a [Member<'a>],
+        scratch: &'w mut Scratch,
+        sink: &'w mut S,
+    ) -> Self {
         scratch.hints.clear();
         scratch.hints.resize(members.len(), 0);
         Rooms::of(
             members.iter().map(|member| member.piece.room),
             &mut scratch.rooms,
         );
-        let mut search = Search {
+        Self {
             candidates: Candidates {
-                arithmetic: self.arithmetic,
+                arithmetic,
                 members,
                 scratch,
-                ledger: &mut self.ledger,
+                sink,
             },
             members,
-        };
-        search.edges();
-        search.crossings();
+        }
     }
-}
 
-struct Search<'a, 'w> {
-    candidates: Candidates<'a, 'w>,
-    members: &'a [Member<'a>],
-}
-
-impl<'a> Search<'a, '_> {
-    /// Edges of the new piece, and those of the others in it.
-    fn edges(&mut self) {
+    /// Edges of the new piece.
+    pub(super) fn own_edges(&mut self) {
         let new = self.members[NEW];
         for edge in new.features.live_edges() {
             self.edge(NEW, edge, Phase::After);
         }
+    }
+
+    /// Edges of the others in the new piece.
+    fn edges_in_new(&mut self) {
         for index in 1..self.members.len() {
             for edge in self.members[index].features.live_edges() {
                 self.edge(index, edge, Phase::Before);
@@ -201,10 +220,22 @@ impl<'a> Search<'a, '_> {
 
     /// Crossings of the new piece's facets with the others', and of the others' among themselves in it.
     fn crossings(&mut self) {
-        let (mut facets, groups) = self.live_facets();
+        let (mut facets, groups) = self.live_facets(0);
+        self.own_crossings(&facets, &groups);
+        self.pairs(&mut facets, &groups);
+    }
+
+    /// Crossings of the new piece's facets with those of members of higher slot.
+    pub(super) fn crossings_with_later(&mut self) {
+        let (facets, groups) = self.live_facets(self.members[NEW].slot + 1);
+        self.own_crossings(&facets, &groups);
+    }
+
+    /// Crossings of the new piece's facets with others.
+    fn own_crossings(&mut self, facets: &[Candidate], groups: &[Vec<usize>]) {
         let new = self.members[NEW];
         let own: SmallVec<[u16; 32]> = new.features.live_facets().collect();
-        for group in &groups {
+        for group in groups {
             let first = facets[group[0]];
             if self.is_on_one_side(self.face(first), new.piece) {
                 continue;
@@ -216,15 +247,14 @@ impl<'a> Search<'a, '_> {
                 }
             }
         }
-        self.pairs(&mut facets, &groups);
     }
 
     fn face(&self, candidate: Candidate) -> &'a Face {
         self.members[candidate.member].piece.face(candidate.facet)
     }
 
-    /// The live facets of the others that may meet the new piece, and their groups by plane.
-    fn live_facets(&self) -> (Vec<Candidate>, Vec<Vec<usize>>) {
+    /// The live facets of the others, from a slot on, that may meet the new piece, and their groups by plane.
+    fn live_facets(&self, from: u32) -> (Vec<Candidate>, Vec<Vec<usize>>) {
         let new = self.members[NEW].piece;
         let mut facets = Vec::new();
         let mut groups: Vec<Vec<usize>> = Vec::new();
@@ -232,10 +262,15 @@ impl<'a> Search<'a, '_> {
         for (
             member,
             Member {
-                piece, features, ..
+                piece,
+                features,
+                slot,
             },
         ) in self.members.iter().enumerate().skip(1)
         {
+            if *slot < from {
+                continue;
+            }
             for facet in features.live_facets() {
                 if !piece.rooms[usize::from(facet)].meets(&new.room) {
                     continue;

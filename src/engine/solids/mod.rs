@@ -37,6 +37,7 @@ mod clip;
 mod contact;
 mod contains;
 mod double;
+mod edges;
 mod exact;
 mod excerpt;
 mod face;
@@ -72,6 +73,8 @@ pub use body::{Body, InvalidBody, PARTS_MAX, Shape, SolidId};
 use certify::Room;
 pub use contact::Added;
 pub use contains::Around;
+pub use edges::{Edges, Listed, Side, Surface};
+pub use exact::Homogeneous;
 use face::Arithmetic;
 use features::Features;
 pub use judge::{Judged, Op, Rejected};
@@ -452,19 +455,7 @@ impl Engine {
 
     /// The exposed parts whose boxes meet that of a piece, nearest first.
     fn near(&self, piece: &Piece, except: u32) -> Vec<u32> {
-        let bounds = piece.bounds();
-        let mut around = Vec::new();
-        self.exposed.visit(&bounds, |slot, other| {
-            if slot != except {
-                let middle = |bounds: &Bounds, axis: usize| {
-                    i64::from(bounds.min[axis]) + i64::from(bounds.max[axis])
-                };
-                let distance = |axis| middle(&bounds, axis).abs_diff(middle(other, axis));
-                around.push((distance(0) + distance(1) + distance(2), slot));
-            }
-        });
-        around.sort_unstable();
-        around.into_iter().map(|(_, slot)| slot).collect()
+        self.exposed.nearest(&piece.bounds(), except)
     }
 
     /// The exposed parts that may touch a piece, nearest first.

@@ -21,7 +21,7 @@ use super::face::{Arithmetic, Face};
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Touch<'a> {
     /// Which member of the neighbourhood.
-    pub(super) member: usize,
+    member: u32,
     facets: [u16; 2],
     faces: [&'a Face; 2],
     count: u8,
@@ -33,6 +33,8 @@ pub(super) struct Sheet<'a> {
     pub(super) face: &'a Face,
     /// 1: to the left of the line, along the face's normal times the line's direction; -1: to the right.
     pub(super) side: i32,
+    /// Which member of the neighbourhood has the face, or one of those that have it.
+    pub(super) member: u32,
 }
 
 impl Sheet<'_> {
@@ -86,18 +88,22 @@ impl<'r, 'a> Boundary<'r, 'a> {
         line: &Line<'a>,
         own: &[Sheet<'a>],
     ) -> Rays<'a> {
-        let is_in = |ray: &Sheet<'a>, rays: &[Sheet<'a>]| rays.iter().any(|other| other.same(ray));
-        let turned = self.rays.iter().filter(|ray| !is_in(ray, own));
-        let turned = turned.map(|ray| (*ray, -1));
-        let kept = own.iter().filter(|ray| !is_in(ray, self.rays));
-        let rays: SmallVec<[(Sheet<'a>, i32); 8]> =
-            turned.chain(kept.map(|ray| (*ray, 1))).collect();
+        let rays = self.rest_rays(own);
         let kind = match rays[..] {
             [(a, way), (b, _)] => kind_of_two(way * b.side * line.turn(arithmetic, a.face, b.face)),
             _ => EdgeKind::Crossing,
         };
         let rays = rays.into_iter().map(|(ray, _)| ray).collect();
         Rays { rays, kind }
+    }
+
+    /// The rays of that rest, each with 1, or with -1 where its plane counts as turned about.
+    pub(super) fn rest_rays(self, own: &[Sheet<'a>]) -> SmallVec<[(Sheet<'a>, i32); 8]> {
+        let is_in = |ray: &Sheet<'a>, rays: &[Sheet<'a>]| rays.iter().any(|other| other.same(ray));
+        let turned = self.rays.iter().filter(|ray| !is_in(ray, own));
+        let turned = turned.map(|ray| (*ray, -1));
+        let kept = own.iter().filter(|ray| !is_in(ray, self.rays));
+        turned.chain(kept.map(|ray| (*ray, 1))).collect()
     }
 }
 
@@ -114,7 +120,7 @@ impl<'a> Touch<'a> {
     /// A piece that touches with one facet: locally a half-space.
     pub(super) fn facet(member: usize, facet: u16, face: &'a Face) -> Self {
         Self {
-            member,
+            member: small(member),
             facets: [facet; 2],
             faces: [face; 2],
             count: 1,
@@ -124,11 +130,17 @@ impl<'a> Touch<'a> {
     /// A piece that touches with an edge between two facets: locally a wedge.
     pub(super) fn edge(member: usize, facets: [u16; 2], faces: [&'a Face; 2]) -> Self {
         Self {
-            member,
+            member: small(member),
             facets,
             faces,
             count: 2,
         }
+    }
+
+    /// Which member of the neighbourhood.
+    #[inline]
+    pub(super) fn member(&self) -> usize {
+        self.member as usize
     }
 
     /// The faces that hold the line: one or two.
@@ -148,17 +160,20 @@ impl<'a> Touch<'a> {
         self.count == 2
     }
 
+    /// A ray of one of its faces.
+    pub(super) fn sheet(&self, face: &'a Face, side: i32) -> Sheet<'a> {
+        let member = self.member;
+        Sheet { face, side, member }
+    }
+
     /// The two rays that bound it.
     pub(super) fn rays(&self, arithmetic: Arithmetic, line: &Line<'a>) -> [Sheet<'a>; 2] {
         let [a, b] = self.faces;
         if !self.is_edge() {
-            return [Sheet { face: a, side: 1 }, Sheet { face: a, side: -1 }];
+            return [self.sheet(a, 1), self.sheet(a, -1)];
         }
         // The ray of one face lies on the inner side of the other.
-        let of = |face: &'a Face, other: &Face| Sheet {
-            face,
-            side: -line.turn(arithmetic, other, face),
-        };
+        let of = |face, other| self.sheet(face, -line.turn(arithmetic, other, face));
         [of(a, b), of(b, a)]
     }
 
@@ -188,6 +203,11 @@ impl<'a> Touch<'a> {
             }
         })
     }
+}
+
+#[inline]
+fn small(member: usize) -> u32 {
+    u32::try_from(member).expect("fewer than 2^32 pieces")
 }
 
 /// Pieces around an interval, without those that lie in another.
@@ -240,11 +260,11 @@ impl<'a> Sector<'a> {
                 .min_by_key(|touch| order(touch))
         };
         if let Some(edge) = first(&Touch::is_edge) {
-            return Some([edge.member; 2]);
+            return Some([edge.member(); 2]);
         }
         let one = first(&|_| true)?;
         let two = first(&|touch| !touch.faces[0].parallel(one.faces[0]))?;
-        Some([one.member, two.member])
+        Some([one.member(), two.member()])
     }
 
     /// The boundary of the union.

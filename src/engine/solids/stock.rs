@@ -27,8 +27,8 @@ use super::piece::{Parts, Piece};
 /// Most vertices of a stock: 1,024.
 pub const STOCK_VERTICES_MAX: usize = 1 << 10;
 
-// The facets of a part and of the stock together have few enough half-edges for an index of 16 bits: 6 f - 12.
-const _: () = assert!(6 * (2 * VERTICES_MAX + 2 * STOCK_VERTICES_MAX) < u16::MAX as usize);
+// The facets of a part, of the stock and of a box together have few enough half-edges for an index of 16 bits: 6 f - 12.
+const _: () = assert!(6 * (2 * VERTICES_MAX + 2 * STOCK_VERTICES_MAX + 6) < u16::MAX as usize);
 
 /// A convex block of material, of which bodies remove what they have in common with it.
 #[derive(Clone, Debug)]
@@ -80,27 +80,32 @@ impl Stock {
     /// What a part has in common with the stock, prepared; none when that has no volume. O(vertices of the part for each plane of the stock that
     /// meets its box).
     pub(super) fn cut(&self, part: &Solid, arithmetic: Arithmetic) -> Option<Piece> {
-        let mut near = Vec::new();
-        for (index, face) in (0..).zip(&self.piece.faces) {
-            let [least, most] = extremes(&face.plane, &part.bounds());
-            if least >= 0 {
-                return None;
-            }
-            if most > 0 {
-                near.push(index);
-            }
-        }
-        if near.is_empty() {
-            return Some(Piece::of(part));
-        }
-        let mut cutting = Cutting::of(part, &self.piece.faces, arithmetic);
-        for index in near {
-            if !cutting.cut_off(part.planes().len() + index) {
-                return None;
-            }
-        }
-        Some(cutting.piece())
+        cut(part, &self.piece.faces, arithmetic)
     }
+}
+
+/// What is left of a part on the inner sides of some planes, prepared; none when that has no volume.
+pub(super) fn cut(part: &Solid, faces: &[Face], arithmetic: Arithmetic) -> Option<Piece> {
+    let mut near = Vec::new();
+    for (index, face) in (0..).zip(faces) {
+        let [least, most] = extremes(&face.plane, &part.bounds());
+        if least >= 0 {
+            return None;
+        }
+        if most > 0 {
+            near.push(index);
+        }
+    }
+    if near.is_empty() {
+        return Some(Piece::of(part));
+    }
+    let mut cutting = Cutting::of(part, faces, arithmetic);
+    for index in near {
+        if !cutting.cut_off(part.planes().len() + index) {
+            return None;
+        }
+    }
+    Some(cutting.piece())
 }
 
 /// The least and the greatest value of a plane in a box.

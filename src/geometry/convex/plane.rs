@@ -30,6 +30,15 @@ impl Plane {
         }
     }
 
+    /// The plane at right angles to an axis, half a step beyond a coordinate in the direction of `outward`, which is 1 or -1: the one kind
+    /// that no lattice point is on, and so in no solid's boundary. Its normal has the length 2.
+    pub fn half_step_beyond(axis: usize, coordinate: i32, outward: i64) -> Self {
+        let mut normal = [0; 3];
+        normal[axis] = 2 * outward;
+        let offset = -(2 * i128::from(outward) * i128::from(coordinate) + 1);
+        Self { normal, offset }
+    }
+
     /// The outward normal in lowest terms: integers without a common divisor.
     pub const fn normal(&self) -> [i64; 3] {
         self.normal

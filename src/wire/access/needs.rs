@@ -87,6 +87,7 @@ pub const CALLS: &[Call] = &[
     both("ListSolids", "GET /v1/scenes/{scene}/solids", READ),
     both("GetSolid", "GET /v1/scenes/{scene}/solids/{id}", READ),
     both("Contains", "GET /v1/scenes/{scene}/contains", READ),
+    http("GetMesh", "GET /v1/scenes/{scene}/mesh", READ),
     http("GetBackup", "GET /v1/scenes/{scene}/backup", READ),
     both("AuditScene", "POST /v1/scenes/{scene}/audit", READ),
     both("ListScenes", "GET /v1/scenes", Need::AnyKey),

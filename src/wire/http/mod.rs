@@ -12,6 +12,7 @@ mod cubes;
 mod drain;
 mod exposition;
 mod history;
+mod mesh;
 mod ndjson;
 mod openapi;
 mod operate;
@@ -141,6 +142,7 @@ fn unbounded_routes() -> Vec<Route> {
             get(reads::stream_mass_properties),
         ),
         ("/v1/scenes/{scene}/audit", post(reads::post_audit)),
+        ("/v1/scenes/{scene}/mesh", get(mesh::get_mesh)),
         ("/v1/scenes/{scene}/backup", get(backup::get_backup)),
     ]
 }

@@ -18,7 +18,7 @@ use utoipa::{Modify, OpenApi};
 
 use super::problem::ProblemDocument;
 use super::{
-    backup, changes, contains, cubes, exposition, history, operate, reads, scenes, solids,
+    backup, changes, contains, cubes, exposition, history, mesh, operate, reads, scenes, solids,
 };
 use crate::wire::access::{Need, of_http};
 use crate::wire::problem::{Code, Kind};
@@ -34,7 +34,7 @@ use crate::wire::problem::{Code, Kind};
         scenes::put_scene, scenes::get_scenes, scenes::get_scene, scenes::delete_scene,
         changes::post_changes, changes::post_revert, changes::delete_cube,
         reads::get_mass_properties, reads::stream_mass_properties, history::get_history, reads::post_audit,
-        backup::get_backup,
+        backup::get_backup, mesh::get_mesh,
         cubes::get_cube, cubes::get_cubes, contains::get_contains,
         solids::put_shape, solids::get_solid, solids::get_solids, solids::delete_solid,
         operate::get_healthz, operate::get_readyz, exposition::get_metrics, get_openapi,
@@ -265,6 +265,7 @@ fn failures(operation: &str) -> &'static [Code] {
             MemoryUsed,
         ],
         "get_cubes" | "get_solids" => &[ReadTooSlowly],
+        "get_mesh" => &[MemoryUsed, ReadTooSlowly, StorageFailed, DiskFull],
         "get_backup" => &[StorageFailed, DiskFull],
         "get_readyz" => &[Recovering],
         "get_problem" => &[NoSuchPath],

@@ -263,6 +263,17 @@ pub(super) fn idempotency_key(headers: &HeaderMap) -> Result<Option<Box<str>>, P
 /// The memory that a request's body takes.
 pub(super) struct Room(Share);
 
+impl Room {
+    /// Takes so many bytes more, for what an answer is made of.
+    pub(super) fn take(&mut self, bytes: u64) -> Result<(), Problem> {
+        if self.0.take(bytes) {
+            Ok(())
+        } else {
+            Err(room::share_used())
+        }
+    }
+}
+
 impl FromRequestParts<App> for Room {
     type Rejection = Infallible;
 
