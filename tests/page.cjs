@@ -138,11 +138,11 @@ async function run(browser) {
 
     await check("a scene is created by the form, and what is wrong is said at its place", async () => {
         page.expected = /status of 422/;
-        await page.getByLabel("Name").fill("cubes-1");
-        await page.getByLabel("Kind").selectOption("cubes");
-        await page.getByLabel("Edge").fill("-6");
+        await page.getByLabel("Name", { exact: true }).fill("cubes-1");
+        await page.getByLabel("Kind", { exact: true }).selectOption("cubes");
+        await page.getByLabel("Edge", { exact: true }).fill("-6");
         await page.getByRole("button", { name: "Create" }).click();
-        const edge = page.getByLabel("Edge");
+        const edge = page.getByLabel("Edge", { exact: true });
         await page.waitForFunction(() => document.querySelector("[aria-invalid]"));
         assert.equal(await edge.getAttribute("aria-invalid"), "true");
         const wrong = await page.locator(`#${await edge.getAttribute("aria-describedby")}`).textContent();
@@ -228,7 +228,7 @@ async function run(browser) {
         await page.getByLabel("Slice plane").selectOption({ label: "no slice" });
         for (const name of ["Front", "Top", "Right", "Iso"]) await page.getByRole("button", { name, exact: true }).click();
         for (const part of ["removed", "union", "remaining"]) {
-            await page.getByLabel("Part").first().selectOption(part);
+            await page.getByLabel("Part", { exact: true }).first().selectOption(part);
             await says(page, ".under", "triangles");
             await shoot(page, `part-${part}`, false);
         }
@@ -353,6 +353,7 @@ async function run(browser) {
         await page.getByRole("link", { name: "API" }).click();
         await page.waitForSelector(".swagger-ui .opblock");
         assert.match(await page.title(), /^union3d/);
+        assert.equal(await page.getByRole("link", { name: "The scenes of this server" }).getAttribute("href"), "/");
         await shoot(page, "docs", false);
     });
 

@@ -108,17 +108,18 @@ function askForKey(again: boolean): Promise<void> {
         const input = h("input", { type: "password", autocomplete: "off", spellcheck: "false", required: true, id: "key" });
         const form = h(
             "form",
-            { method: "dialog" },
+            {},
             h("h2", { id: "key-title" }, "A key, please"),
             h("p", {}, "This server answers those who have a key. It is kept for this tab until you close it."),
             again ? h("p", { class: "wrong", role: "alert" }, "The server does not know the key that was given.") : null,
-            h("label", { class: "field", for: "key" }, h("span", {}, "Key"), input),
+            h("div", { class: "field" }, h("label", { for: "key" }, "Key"), input),
             h("div", { class: "row end" }, h("button", { class: "primary" }, "Use this key")),
         );
         const dialog = h("dialog", { "aria-labelledby": "key-title" }, form);
         // Without a key there is nothing to see: the question stays.
         dialog.addEventListener("cancel", (event) => event.preventDefault());
-        form.addEventListener("submit", () => {
+        form.addEventListener("submit", (event) => {
+            event.preventDefault();
             sessionStorage.setItem(KEY, input.value.trim());
             dialog.remove();
             asking = null;

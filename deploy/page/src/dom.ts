@@ -32,13 +32,13 @@ export function replace(element: Element, ...children: (Child | Child[])[]): voi
     fill(element, children);
 }
 
-/** A label around its control, with a place for what is wrong with it. */
+/** A label over its control, with a place for what is wrong with it. */
 export function field(label: string, control: HTMLElement, hint = ""): HTMLElement {
     const wrong = h("span", { class: "wrong", hidden: true });
     control.id ||= `f${++counted}`;
     wrong.id = `${control.id}-wrong`;
     control.setAttribute("aria-describedby", wrong.id);
-    return h("label", { class: "field", for: control.id }, h("span", {}, label, hint ? h("small", {}, ` ${hint}`) : null), control, wrong);
+    return h("div", { class: "field" }, h("label", { for: control.id }, label, hint ? h("small", {}, ` ${hint}`) : null), control, wrong);
 }
 
 let counted = 0;

@@ -21,9 +21,9 @@ export function drop(scene: Scene): HTMLElement {
     const button = h("button", { class: "primary" }, "Insert");
     const form = h("form", { class: "card", "aria-labelledby": "drop-title" },
         h("h2", { id: "drop-title" }, solids ? "Add solids" : "Add cubes"),
-        h("label", { class: "field", for: "format" }, h("span", {}, "Format"), format),
-        h("label", { class: "field", for: "bodies" }, h("span", {}, "Type them"), text),
-        h("label", { class: "field", for: "file" }, h("span", {}, "or drop a file here"), file),
+        h("div", { class: "field" }, h("label", { for: "format" }, "Format"), format),
+        h("div", { class: "field" }, h("label", { for: "bodies" }, "Type them"), text),
+        h("div", { class: "field" }, h("label", { for: "file" }, "or drop a file here"), file),
         said, h("div", { class: "row end" }, button));
     const guess = (name: string): void => {
         const kind = /\.csv$|\.txt$/i.test(name) ? "text/csv" : /\.(ndjson|jsonl)$/i.test(name) ? "application/x-ndjson" : "application/json";

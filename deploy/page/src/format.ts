@@ -7,7 +7,7 @@ const whole = new Intl.NumberFormat("en", { maximumFractionDigits: 0 });
 const narrow = (text: string): string => text.replaceAll(",", "\u202f").replace("-", "\u2212");
 const tidy = (value: number, form: Intl.NumberFormat): string => {
     const size = Math.abs(value);
-    if (size !== 0 && (size >= 1e12 || size < 1e-5)) return value.toExponential(6).replace("-", "\u2212");
+    if (size !== 0 && (size >= 1e12 || size < 1e-5)) return value.toExponential(4).replaceAll("-", "\u2212");
     return narrow(form.format(value));
 };
 

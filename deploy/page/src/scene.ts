@@ -50,7 +50,7 @@ function live(scene: Scene, main: HTMLElement, signal: AbortSignal): void {
     const view = new View3d(scene, scene.stock ? "remaining" : "union", signal);
     const plots = new Plots(history, scene.unit ?? "", Boolean(scene.stock), (seq) => choose(seq), signal);
 
-    const slider = h("input", { type: "range", min: 1, max: 1, value: "1", id: "scrub" });
+    const slider = h("input", { type: "range", min: "0", max: "0", value: "0", id: "scrub" });
     const at = h("output", { class: "figure", for: "scrub" });
     const live = h("button", { type: "button", onclick: () => choose(null) }, "Newest");
     const revert = h("button", { type: "button", class: "danger", disabled: true, onclick: () => goBack() }, "Revert to here …");
@@ -229,7 +229,7 @@ function saving(scene: Scene): HTMLElement {
         }
     };
     return h("section", { class: "card", "aria-labelledby": "save-title" }, h("h2", { id: "save-title" }, "Meshes"),
-        h("label", { class: "field", for: "save-part" }, h("span", {}, "Part"), part),
+        h("div", { class: "field" }, h("label", { for: "save-part" }, "Part"), part),
         h("div", { class: "row formats" }, ["stl", "ply", "obj", "3mf", "glb"].map((format) =>
             h("button", { type: "button", onclick: () => save(format) }, format.toUpperCase()))), said);
 }

@@ -10,7 +10,7 @@ export function showTotals(place: HTMLElement, scene: Scene, totals: Totals): vo
     const columns: [string, Measures][] = remaining
         ? [["Remaining", remaining], ["Removed", removed && Object.keys(removed).length > 1 ? removed : { ...totals, ...removed }]]
         : [["Union", totals]];
-    const rows: [string, string, (measures: Measures) => string[] | undefined][] = [
+    const rows: Row[] = [
         ["Volume", unitTo(unit, 3), (m) => one(m.volume)],
         ["Area", unitTo(unit, 2), (m) => one(m.area)],
         ["Edge length", unit, (m) => one(m.edge_length?.total)],
@@ -19,13 +19,14 @@ export function showTotals(place: HTMLElement, scene: Scene, totals: Totals): vo
         ["crossing", unit, (m) => one(m.edge_length?.crossing)],
         ["Mass", "", (m) => one(m.mass)],
         ["Centroid", unit, (m) => vector(m.centroid)],
-        ["Inertia", `${unitTo(unit, 5)}`, (m) => m.inertia?.map((row) => row.map(number).join("  "))],
+        ...([["Inertia xx", 0, 0], ["yy", 1, 1], ["zz", 2, 2], ["xy", 0, 1], ["xz", 0, 2], ["yz", 1, 2]] as const).map(([name, row, column]) =>
+            [name, unitTo(unit, 5), (m: Measures) => one(m.inertia?.[row]?.[column])] as Row),
         ["Bounds", unit, (m) => box(m.bounds)],
         ["Mean curvature", unit, (m) => one(m.mean_curvature)],
         ["Euler characteristic", "", (m) => one(m.euler_characteristic)],
         ["Vertices", "", (m) => one(m.vertices?.["total"])],
     ];
-    const minor = new Set(["convex", "concave", "crossing"]);
+    const minor = new Set(["convex", "concave", "crossing", "yy", "zz", "xy", "xz", "yz"]);
     const shown = rows.filter(([, , value]) => columns.some(([, measures]) => value(measures)));
     const bodies = totals.solids ?? totals.cubes ?? 0;
     replace(place,
@@ -37,6 +38,8 @@ export function showTotals(place: HTMLElement, scene: Scene, totals: Totals): vo
                 columns.map(([, measures]) => h("td", { class: "figure" }, (value(measures) ?? ["–"]).map((line) => h("span", { class: "line" }, line)))),
                 h("td", { class: "unit" }, power))))));
 }
+
+type Row = [string, string, (measures: Measures) => string[] | undefined];
 
 const one = (value: number | undefined | null): string[] | undefined => (value === undefined || value === null ? undefined : [number(value)]);
 const vector = (value: Vector | null | undefined): string[] | undefined => value?.map(number);

@@ -183,7 +183,9 @@ pub fn router(service: Service, limits: Limits, access: Access) -> Router {
     bounded
         .merge(unbounded)
         .merge(page)
-        .merge(SwaggerUi::new("/docs").config(description))
+        .merge(page::described(
+            SwaggerUi::new("/docs").config(description).into(),
+        ))
         .fallback(async |uri: Uri| no_such_path(uri.path()))
         .method_not_allowed_fallback(method_not_allowed)
         .layer(

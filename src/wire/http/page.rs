@@ -5,14 +5,17 @@
 
 use std::sync::LazyLock;
 
+use axum::Router;
+use axum::body::{Body, to_bytes};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
+use axum::middleware::map_response;
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use headers::{ETag, HeaderMapExt, IfNoneMatch};
 use sha2::{Digest, Sha256};
 
 use super::request::{Path, VARY};
-use super::Route;
+use super::{App, Route};
 use crate::wire::problem::Problem;
 
 /// What the page may load: what this server serves. Pictures and downloads are made in the page, as blobs.
@@ -68,6 +71,36 @@ async fn get_asset(Path(name): Path<String>, headers: HeaderMap) -> Result<Respo
         .ok_or_else(|| super::no_such_path(&format!("/{path}")))
 }
 
+/// The pages that describe the API, with this project's title and the way to its own page.
+pub(super) fn described(pages: Router<App>) -> Router<App> {
+    pages.layer(map_response(titled))
+}
+
+async fn titled(response: Response) -> Response {
+    const PAGE_BYTES_MAX: usize = 1 << 20;
+    let kind = response.headers().get(header::CONTENT_TYPE);
+    if !kind.is_some_and(|kind| kind.as_bytes().starts_with(b"text/html")) {
+        return response;
+    }
+    let (mut parts, body) = response.into_parts();
+    let Ok(bytes) = to_bytes(body, PAGE_BYTES_MAX).await else {
+        return StatusCode::INTERNAL_SERVER_ERROR.into_response();
+    };
+    let text = String::from_utf8_lossy(&bytes)
+        .replace(
+            "<title>Swagger UI</title>",
+            "<title>union3d: its API</title>",
+        )
+        .replace(
+            "<body>",
+            "<body>\n<p><a href=\"/\">The scenes of this server</a></p>",
+        );
+    // Both were those of the text before.
+    parts.headers.remove(header::CONTENT_LENGTH);
+    parts.headers.remove(header::ETAG);
+    Response::from_parts(parts, Body::from(text))
+}
+
 impl File {
     /// The file, or that it is the one that the client has. Its name stays when it changes, so it is asked for again each time.
     fn answer(&self, headers: &HeaderMap) -> Response {
@@ -79,7 +112,10 @@ impl File {
         about.extend([
             (header::CACHE_CONTROL, HeaderValue::from_static("no-cache")),
             (header::CONTENT_SECURITY_POLICY, POLICY),
-            (header::REFERRER_POLICY, HeaderValue::from_static("no-referrer")),
+            (
+                header::REFERRER_POLICY,
+                HeaderValue::from_static("no-referrer"),
+            ),
             (OPENER_POLICY, HeaderValue::from_static("same-origin")),
         ]);
         about.extend(VARY);
@@ -94,9 +130,14 @@ impl File {
     fn tag() -> ETag {
         static TAG: LazyLock<String> = LazyLock::new(|| {
             let hasher = Sha256::new_with_prefix(INDEX.bytes);
-            let hasher = ASSETS.iter().fold(hasher, |hasher, file| hasher.chain_update(file.bytes));
+            let hasher = ASSETS
+                .iter()
+                .fold(hasher, |hasher, file| hasher.chain_update(file.bytes));
             let digest = hasher.finalize();
-            digest[..8].iter().map(|byte| format!("{byte:02x}")).collect()
+            digest[..8]
+                .iter()
+                .map(|byte| format!("{byte:02x}"))
+                .collect()
         });
         let tag = format!("W/\"{}\"", *TAG);
         tag.parse().expect("hexadecimal digits")
