@@ -4,6 +4,7 @@ WORKDIR /union3d
 COPY Cargo.toml Cargo.lock ./
 COPY proto proto
 COPY src src
+COPY deploy/page/dist deploy/page/dist
 # Only for the manifests of the other members of the workspace.
 COPY tests tests
 COPY deploy/python deploy/python

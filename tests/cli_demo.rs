@@ -48,6 +48,10 @@ fn it_mills_what_mill_mills() {
     assert!(shown.contains(" grpc://127.0.0.1:"), "{shown}");
     assert!(shown.contains("curl http://127.0.0.1:"), "{shown}");
     assert!(shown.contains("/v1/scenes/demo/mass-properties"), "{shown}");
+    // The page is the last that is said.
+    let last = shown.trim_end().lines().last().unwrap();
+    assert!(last.starts_with("See it: http://127.0.0.1:"), "{shown}");
+    assert!(last.ends_with("/scenes/demo"), "{shown}");
     // On the kept data the same plate again is no change.
     let again = demo(&["--http", "127.0.0.1:0", "--data", data.to_str().unwrap()]);
     assert_eq!(rows(&again), rows(&milled));

@@ -217,7 +217,9 @@ async fn show(url: &str) -> Result<(), Box<dyn std::error::Error>> {
   curl '{scene}/contains?at=0,0,-1'
   curl '{scene}/history?limit=3'
   curl -X POST {scene}/audit -H 'content-type: application/json'
-or read {url}/docs"
+or read {url}/docs
+
+See it: {url}/scenes/{SCENE}"
     )?;
     Ok(())
 }

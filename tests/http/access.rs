@@ -50,10 +50,12 @@ async fn every_call_stands_in_the_table_of_what_calls_need() {
         .into_iter()
         .map(|(method, path)| format!("{method} {path}"))
         .collect();
+    // Pages for people are no calls of the API.
     let listed = CALLS
         .iter()
+        .filter(|call| call.name != "GetPage")
         .map(|call| call.http)
-        .filter(|http| !http.is_empty() && !http.starts_with("GET /docs"));
+        .filter(|http| !http.is_empty());
     let listed: Vec<String> = listed.map(str::to_owned).collect();
     let once: BTreeSet<String> = listed.iter().cloned().collect();
     assert_eq!(

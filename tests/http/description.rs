@@ -126,6 +126,8 @@ async fn the_page_needs_nobody_else() {
     let page = server.get("/docs/").await;
     assert_eq!(page.status, 200);
     assert!(page.header("content-type").starts_with("text/html"));
+    assert!(page.text.contains("<title>union3d"), "{}", page.text);
+    assert!(page.text.contains("<a href=\"/\">"), "{}", page.text);
     let script = server.get("/docs/swagger-initializer.js").await;
     assert!(script.text.contains("/openapi.json"), "{}", script.text);
     for asset in page.text.split('"').filter(|part| part.starts_with("./")) {

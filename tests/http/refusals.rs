@@ -20,8 +20,8 @@ async fn what_the_router_refuses_is_a_problem() {
     let server = Server::start().await;
     let scene = server.scene("s", 2).await;
     for path in [
-        "/",
         "/v1",
+        "/assets/none.js",
         "/v1/scenes/",
         "/v1/scenes/s/volume",
         "/docs/none.js",

@@ -103,6 +103,9 @@ pub const CALLS: &[Call] = &[
     http("GetPage", "GET /docs", Need::Nothing),
     http("GetPage", "GET /docs/", Need::Nothing),
     http("GetPage", "GET /docs/{*rest}", Need::Nothing),
+    http("GetPage", "GET /", Need::Nothing),
+    http("GetPage", "GET /scenes/{scene}", Need::Nothing),
+    http("GetPage", "GET /assets/{file}", Need::Nothing),
     http("GetProblems", "GET /problems", Need::Nothing),
     http("GetProblem", "GET /problems/{code}", Need::Nothing),
 ];

@@ -17,6 +17,7 @@ mod mesh;
 mod ndjson;
 mod openapi;
 mod operate;
+mod page;
 mod problem;
 mod reads;
 mod request;
@@ -182,10 +183,14 @@ pub fn router(service: Service, limits: Limits, access: Access) -> Router {
     let bounded = bounded_routes().into_iter().fold(Router::new(), add);
     let bounded = bounded.route_layer(middleware::from_fn_with_state(limits, bounded_time));
     let unbounded = unbounded_routes().into_iter().fold(Router::new(), add);
-    let page = utoipa_swagger_ui::Config::new(["/openapi.json"]);
+    let page = page::routes().into_iter().fold(Router::new(), add);
+    let description = utoipa_swagger_ui::Config::new(["/openapi.json"]);
     bounded
         .merge(unbounded)
-        .merge(SwaggerUi::new("/docs").config(page))
+        .merge(page)
+        .merge(page::described(
+            SwaggerUi::new("/docs").config(description).into(),
+        ))
         .fallback(async |uri: Uri| no_such_path(uri.path()))
         .method_not_allowed_fallback(method_not_allowed)
         .layer(

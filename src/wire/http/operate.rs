@@ -1,12 +1,15 @@
 //! Calls for those who run the service: health, readiness, and what the types of problems mean.
 
 use axum::extract::State;
+use axum::http::HeaderMap;
+use axum::response::{IntoResponse, Response};
 use axum::{Extension, Json};
 use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::App;
-use super::request::Path;
+use super::page::get_page;
+use super::request::{BodyType, Path, VARY, preferred};
 use crate::service::Readiness;
 use crate::wire::access::Ticket;
 use crate::wire::problem::{Code, KINDS, Kind, Problem};
@@ -81,21 +84,37 @@ pub(crate) struct Kinds {
 }
 
 /// List the types of problems
+///
+/// As a page when `text/html` is preferred, as browsers do.
 #[utoipa::path(get, path = "/problems", tag = "operation",
     responses((status = 200, description = "All types", body = Kinds)))]
-pub(super) async fn get_problems() -> Json<Kinds> {
-    Json(Kinds { problems: KINDS })
+pub(super) async fn get_problems(headers: HeaderMap) -> Response {
+    if prefers_page(&headers) {
+        return get_page(headers).await;
+    }
+    (VARY, Json(Kinds { problems: KINDS })).into_response()
 }
 
 /// What a type of problem means
 ///
-/// The `type` of every problem is the path of this call.
+/// The `type` of every problem is the path of this call. As a page when `text/html` is preferred, as browsers do.
 #[utoipa::path(get, path = "/problems/{code}", tag = "operation",
     params(("code" = String, Path, description = "Last part of the type", example = "id-conflict")),
     responses((status = 200, description = "The type", body = Kind)))]
-pub(super) async fn get_problem(Path(code): Path<String>) -> Result<Json<Kind>, Problem> {
+pub(super) async fn get_problem(
+    Path(code): Path<String>,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
     let found = KINDS.iter().find(|kind| kind.code == code);
-    found
-        .map(|kind| Json(*kind))
-        .ok_or_else(|| super::no_such_path(&format!("/problems/{code}")))
+    let Some(kind) = found else {
+        return Err(super::no_such_path(&format!("/problems/{code}")));
+    };
+    if prefers_page(&headers) {
+        return Ok(get_page(headers).await);
+    }
+    Ok((VARY, Json(*kind)).into_response())
+}
+
+fn prefers_page(headers: &HeaderMap) -> bool {
+    preferred(headers, &[BodyType::Json, BodyType::Html]) == BodyType::Html
 }

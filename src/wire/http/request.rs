@@ -178,6 +178,7 @@ pub(super) enum BodyType {
     Ndjson,
     Protobuf,
     Csv,
+    Html,
 }
 
 impl BodyType {
@@ -187,6 +188,7 @@ impl BodyType {
             Self::Ndjson => "application/x-ndjson",
             Self::Protobuf => "application/x-protobuf",
             Self::Csv => "text/csv",
+            Self::Html => "text/html",
         }
     }
 
@@ -198,6 +200,7 @@ impl BodyType {
     pub(super) fn value(self) -> HeaderValue {
         HeaderValue::from_static(match self {
             Self::Csv => "text/csv; charset=utf-8",
+            Self::Html => "text/html; charset=utf-8",
             other => other.name(),
         })
     }
