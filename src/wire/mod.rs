@@ -19,6 +19,7 @@ pub mod decode;
 mod decoded;
 pub mod documents;
 pub mod door;
+mod failures;
 pub mod grpc;
 pub mod http;
 mod kind;
@@ -28,6 +29,7 @@ mod open;
 pub mod problem;
 mod room;
 pub mod solids;
+pub mod trust;
 mod vector;
 
 /// Messages, server and client generated from `proto/union3d/v1/*.proto`.

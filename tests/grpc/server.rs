@@ -77,6 +77,7 @@ impl Server {
         wait: bool,
         access: Access,
     ) -> Self {
+        union3d::wire::trust::install_provider();
         let service = match faults {
             Some(faults) => Service::start_with_failpoints(config, faults).unwrap(),
             None => Service::start(config).unwrap(),
