@@ -16,11 +16,11 @@ use crate::server::{NONE, Server, eventually, refused, row};
 use crate::stop::Stop;
 use crate::streams::{acknowledged, next, opened, opening, stream, tagged};
 
-/// All of it, in bytes. One client comes to half, which is a message of some 43,000.
+/// All of it, in bytes. One client comes to half, which is a message of some 21,000.
 const MEMORY_BYTES: u64 = 1 << 20;
 
 /// What a byte of a message takes.
-const WEIGHT: u64 = 12;
+const WEIGHT: u64 = 24;
 
 async fn start(limits: Limits, faults: Option<FailHook>) -> Server {
     let small = |mut config: ServiceConfig| {
@@ -59,15 +59,18 @@ async fn a_message_that_never_fits_is_too_large() {
     refused(&status, Code::ResourceExhausted, "too-large");
     let text = status.message();
     assert!(
-        text.contains("43690 bytes") && text.contains("memory_bytes_max"),
+        text.contains("21845 bytes") && text.contains("memory_bytes_max"),
         "{text}"
     );
     assert!(status.get_details_retry_info().is_none());
     // Nor does a stream wait for what never comes.
     let first = opening("part", OnRefusal::Stop, NONE);
-    let messages = tokio_stream::iter([first, tagged(1, row(1..10_000))]);
+    let (send, messages) = tokio::sync::mpsc::channel(2);
+    send.send(first).await.unwrap();
+    let messages = tokio_stream::wrappers::ReceiverStream::new(messages);
     let mut answers = stream(&mut server.client(), messages).await;
     opened(&mut answers).await;
+    send.send(tagged(1, row(1..10_000))).await.unwrap();
     let status = next(&mut answers).await.unwrap().unwrap_err();
     refused(&status, Code::ResourceExhausted, "too-large");
     drop(answers);

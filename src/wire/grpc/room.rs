@@ -33,6 +33,9 @@ const STREAM: &str = "/StreamChanges";
 /// reads all the same.
 const UNCOUNTED_BYTES_MAX: usize = 1024;
 
+/// So many bytes are taken at once: what has come together is parted, so that it fits a small share, too.
+const PIECE_BYTES_MAX: usize = 4096;
+
 /// A wait that is looked at so much later than it ended was not looked at meanwhile, as nobody read the answers of the stream.
 const LATE: Duration = Duration::from_secs(1);
 
@@ -64,6 +67,7 @@ pub(super) async fn taken(
             room: room.clone(),
             is_stream,
             framing: Framing::default(),
+            rest: Bytes::new(),
             bytes: 0,
             wait_max,
             waiting: None,
@@ -110,7 +114,9 @@ struct Weighed {
     /// Whether it is a stream, which waits for memory.
     is_stream: bool,
     framing: Framing,
-    /// How much has come.
+    /// What has come and was not looked at.
+    rest: Bytes,
+    /// How much was looked at.
     bytes: usize,
     wait_max: Duration,
     waiting: Option<Waiting>,
@@ -203,14 +209,17 @@ impl Weighed {
                 Some(Err(problem)) => return Poll::Ready(refused(&problem)),
                 None => {}
             }
-            let Some(frame) = ready!(Pin::new(&mut self.body).poll_frame(context)) else {
-                return Poll::Ready(None);
-            };
-            let piece = match frame.map(Frame::into_data) {
-                Ok(Ok(piece)) => piece,
-                Ok(Err(trailers)) => return Poll::Ready(Some(Ok(trailers))),
-                Err(error) => return Poll::Ready(Some(Err(error.into()))),
-            };
+            if self.rest.is_empty() {
+                let Some(frame) = ready!(Pin::new(&mut self.body).poll_frame(context)) else {
+                    return Poll::Ready(None);
+                };
+                match frame.map(Frame::into_data) {
+                    Ok(Ok(bytes)) => self.rest = bytes,
+                    Ok(Err(trailers)) => return Poll::Ready(Some(Ok(trailers))),
+                    Err(error) => return Poll::Ready(Some(Err(error.into()))),
+                }
+            }
+            let piece = self.rest.split_to(self.rest.len().min(PIECE_BYTES_MAX));
             if let Err(problem) = self.follow(&piece) {
                 return Poll::Ready(refused(&problem));
             }
@@ -243,6 +252,7 @@ impl HttpBody for Weighed {
     }
 
     fn is_end_stream(&self) -> bool {
-        self.is_over || (self.waiting.is_none() && self.body.is_end_stream())
+        let nothing_waits = self.waiting.is_none() && self.rest.is_empty();
+        self.is_over || (nothing_waits && self.body.is_end_stream())
     }
 }
