@@ -114,7 +114,7 @@ fn tell<F>(
         match level {
             Level::Error => tracing::error!(parent: span, failure, ms, untold, "a call failed"),
             Level::Warning => {
-                tracing::warn!(parent: span, failure, ms, untold, "a call was not answered")
+                tracing::warn!(parent: span, failure, ms, untold, "a call was not answered");
             }
         }
     }
