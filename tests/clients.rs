@@ -67,6 +67,7 @@ struct Addresses {
 
 impl Server {
     fn start(data: &Path) -> (Self, Addresses) {
+        union3d::wire::trust::install_provider();
         let mut process = Command::new(env!("CARGO_BIN_EXE_union3d"))
             .args(["serve", "--http", "127.0.0.1:0", "--grpc", "127.0.0.1:0"])
             .args(["--log-filter", "warn,tower_http=off", "--data"])

@@ -90,6 +90,7 @@ impl Server {
     }
 
     fn spawn(mut command: Command, data: &Path) -> Self {
+        union3d::wire::trust::install_provider();
         let mut process = command
             .args([
                 "serve",

@@ -719,7 +719,12 @@ fn what_is_no_log_is_refused() {
     let newer = rusqlite::Connection::open(data.path().join("newer/scene.sqlite")).unwrap();
     newer.pragma_update(None, "user_version", 4).unwrap();
     drop(newer);
-    let error = refuse(&data.path().join("newer")).to_string();
+    let error = refuse(&data.path().join("newer"));
+    assert!(
+        matches!(error, LogError::Newer { format: 4, .. }),
+        "{error}"
+    );
+    let error = error.to_string();
     assert!(error.contains("format 4, this program knows 3"), "{error}");
 }
 

@@ -158,6 +158,7 @@ async fn what_there_is_shows() {
         ("union3d_replay_progress_ratio", 1.0),
         (r#"union3d_scenes{state="running"}"#, 1.0),
         (r#"union3d_scenes{state="damaged"}"#, 1.0),
+        (r#"union3d_scenes{state="newer"}"#, 0.0),
         (r#"union3d_scenes{state="stopped"}"#, 0.0),
         ("union3d_cubes", 3.0),
         ("union3d_solids", 0.0),

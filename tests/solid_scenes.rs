@@ -572,7 +572,10 @@ async fn a_stock_that_is_no_box_needs_a_newer_program() {
         fs::write(&file, bytes).unwrap();
         let offline = Offline::open(&data).unwrap();
         let refused = offline.audit(&name(), &mut |_| ()).unwrap_err();
-        assert!(matches!(refused, LogError::Foreign { .. }), "{refused}");
+        assert!(
+            matches!(refused, LogError::Newer { format: 6, .. }),
+            "{refused}"
+        );
         assert!(refused.to_string().contains("of format 6"), "{refused}");
     }
 }

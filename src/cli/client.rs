@@ -24,7 +24,7 @@ pub(crate) enum Failure {
     #[error("{server:?} is no address of a server: {cause} (try http://127.0.0.1:7373)")]
     Address { server: String, cause: String },
     /// Nobody answers.
-    #[error("cannot reach {url}: {cause} (is the server running? `union3d serve` starts one)")]
+    #[error("cannot reach {url}: {cause} ({})", unreached(cause))]
     Unreachable { url: Url, cause: String },
     /// It answers with a problem.
     #[error("{url} answers {status}: {detail}{}", advice(*status))]
@@ -120,9 +120,13 @@ impl Client {
             cause,
         };
         let server_url = Url::parse(server).map_err(|error| address(error.to_string()))?;
-        if server_url.scheme() != "http" {
-            return Err(address("it does not begin with http://".to_owned()));
+        let scheme = server_url.scheme();
+        if !["http", "https"].contains(&scheme) {
+            return Err(address(
+                "it begins with neither http:// nor https://".to_owned(),
+            ));
         }
+        let tls = credentials.trust.http(scheme == "https");
         let mut scene = server_url;
         scene
             .path_segments_mut()
@@ -131,6 +135,7 @@ impl Client {
             .extend(["v1", "scenes", scene_name]);
         let authorization = credentials.authorization.clone().into_iter();
         let http = reqwest::Client::builder()
+            .tls_backend_preconfigured(tls)
             .connect_timeout(Duration::from_secs(5))
             .default_headers(
                 authorization
@@ -414,6 +419,15 @@ fn field<'value>(scene: &'value Value, name: &str) -> &'value Value {
     match &scene[name] {
         Value::Null => &scene["settings"][name],
         found => found,
+    }
+}
+
+/// What to do about a server that cannot be reached.
+pub(crate) fn unreached(cause: &str) -> &'static str {
+    if cause.contains("certificate") {
+        "--ca FILE names what is trusted besides the authorities of this machine"
+    } else {
+        "is the server running? `union3d serve` starts one"
     }
 }
 

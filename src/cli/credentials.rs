@@ -1,8 +1,10 @@
-//! What a client shows a server to be let in.
+//! What a client shows a server to be let in, and how it knows the server.
 
 use std::path::PathBuf;
 
 use reqwest::header::HeaderValue;
+
+use union3d::wire::trust::Trust;
 
 /// The variable that holds the key where there is no file.
 const VARIABLE: &str = "UNION3D_KEY";
@@ -17,6 +19,9 @@ pub(crate) struct CredentialsArgs {
     /// as an argument, which everybody on this machine could read.
     #[arg(long, value_name = "FILE")]
     pub(crate) key_file: Option<PathBuf>,
+    /// File of certificates (PEM) to trust besides the machine's authorities: of a server with `https://`, or of who signed its own.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) ca: Option<PathBuf>,
 }
 
 /// What is shown with every request.
@@ -24,11 +29,22 @@ pub(crate) struct CredentialsArgs {
 pub(crate) struct Credentials {
     /// The value of `Authorization`, marked as secret.
     pub(crate) authorization: Option<HeaderValue>,
+    /// Who is believed to be the server.
+    pub(crate) trust: Trust,
 }
 
 impl CredentialsArgs {
-    /// Reads the key.
+    /// Reads the key and the certificates.
     pub(crate) fn read(&self) -> Result<Credentials, String> {
+        let trust = self.ca.as_deref().map(Trust::read).transpose();
+        let trust = trust.map_err(|error| format!("--ca {error}"))?;
+        Ok(Credentials {
+            authorization: self.authorization()?,
+            trust: trust.unwrap_or_default(),
+        })
+    }
+
+    fn authorization(&self) -> Result<Option<HeaderValue>, String> {
         let (text, from) = match &self.key_file {
             Some(path) => {
                 let text = std::fs::read_to_string(path)
@@ -37,7 +53,7 @@ impl CredentialsArgs {
             }
             None => match std::env::var(VARIABLE) {
                 Ok(text) if !text.trim().is_empty() => (text, VARIABLE.to_owned()),
-                _ => return Ok(Credentials::default()),
+                _ => return Ok(None),
             },
         };
         let key = text.trim();
@@ -49,8 +65,6 @@ impl CredentialsArgs {
             // What stands there is not shown: most of it may be a key.
             .ok_or_else(|| format!("{from}: there is no single key"))?;
         value.set_sensitive(true);
-        Ok(Credentials {
-            authorization: Some(value),
-        })
+        Ok(Some(value))
     }
 }

@@ -253,6 +253,13 @@ impl Site {
                 "not the log of a union3d scene, or damaged in its first bytes".to_owned(),
             ));
         }
+        if number(60) > *K::FORMATS.end() {
+            return Err(LogError::Newer {
+                path: self.database.clone(),
+                format: number(60),
+                known: *K::FORMATS.end(),
+            });
+        }
         if !K::FORMATS.contains(&number(60)) {
             let known: Vec<String> = K::FORMATS.map(|format| format.to_string()).collect();
             return Err(self.foreign(format!(

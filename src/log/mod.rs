@@ -194,6 +194,18 @@ pub enum LogError {
         /// What, and what to do.
         detail: String,
     },
+    /// Of a newer format than this program knows: a newer program reads it.
+    #[error(
+        "{path}: the log is of format {format}, this program knows {known}: a newer version of it reads this scene"
+    )]
+    Newer {
+        /// File.
+        path: PathBuf,
+        /// Its format.
+        format: i32,
+        /// The newest that this program knows.
+        known: i32,
+    },
     /// Not a union3d log, or of a version this program does not know.
     #[error("{path}: {detail}")]
     Foreign {

@@ -92,7 +92,8 @@ impl<K: Kind> Log<K> {
     /// Checks what can be checked without reading the cubes; [`Self::replay`] does the rest and must come before the first append.
     /// Refusing changes no file.
     /// # Errors
-    /// [`LogError::Damaged`] and [`LogError::Foreign`] when the files are not what they were.
+    /// [`LogError::Damaged`] and [`LogError::Foreign`] when the files are not what they were, [`LogError::Newer`] when a newer program
+    /// made them.
     pub fn open(directory: &Path, keep: Keep) -> Result<(Self, Vec<String>), LogError> {
         let site = Site::new(directory);
         let page_size = site.check_database_header::<K>()?;

@@ -142,6 +142,27 @@ impl Share {
         }
     }
 
+    /// So many of its bytes, or all when it has less, as a share of their own.
+    #[must_use = "what is parted is given back when it is dropped"]
+    pub fn part(&mut self, bytes: u64) -> Self {
+        let bytes = bytes.min(self.bytes);
+        self.bytes -= bytes;
+        Self {
+            budget: self.budget.clone(),
+            client: self.client,
+            bytes,
+        }
+    }
+
+    /// Takes over what another share of the same client has.
+    pub fn join(&mut self, mut other: Self) {
+        assert!(
+            self.client == other.client,
+            "shares of one client are joined"
+        );
+        self.bytes += std::mem::take(&mut other.bytes);
+    }
+
     /// Gives back all but so many bytes.
     pub fn keep(&mut self, bytes: u64) {
         let Some(less) = self.bytes.checked_sub(bytes).filter(|less| *less > 0) else {
@@ -212,7 +233,18 @@ mod tests {
             let mut shares: Vec<Share> = Vec::new();
             for _ in 0..300 {
                 let number = u8::try_from(random.below(3)).unwrap();
-                match random.below(4) {
+                match random.below(6) {
+                    4 if !shares.is_empty() => {
+                        let part = shares[0].part(random.below(20));
+                        shares.push(part);
+                    }
+                    5 if shares.len() > 1 => {
+                        let last = shares.pop().unwrap();
+                        let of_one = |share: &&mut Share| share.client == last.client;
+                        if let Some(other) = shares.iter_mut().find(of_one) {
+                            other.join(last);
+                        }
+                    }
                     0 => shares.push(budget.share(client(number))),
                     1 if !shares.is_empty() => {
                         let index = usize::try_from(random.below(shares.len() as u64)).unwrap();

@@ -108,6 +108,17 @@ fn stop<K: SceneKind>(scene: &SceneOf<K>, error: &LogError) -> bool {
             });
             ServiceError::Damaged { cause }
         }
+        LogError::Newer { .. } => {
+            tracing::error!(
+                scene = name,
+                cause,
+                "left alone: a newer version of this program made it"
+            );
+            scene.set_condition(Condition::Newer {
+                cause: cause.clone(),
+            });
+            ServiceError::Newer { cause }
+        }
         LogError::Full { .. } | LogError::Failed { .. } => {
             // It is tried again every moment: only what is new is worth a line.
             if let SceneState::Stopped { cause: before, .. } = scene.state()

@@ -5,11 +5,11 @@
 
 use std::collections::VecDeque;
 
+use super::clock::now_ms;
 use super::judge::{Accepted, Judging, Unfit};
 use super::kind::SceneKind;
 use super::next_id::NextId;
 use super::revert::Past;
-use super::writer::now_ms;
 use super::{
     Applied, Audit, Counting, HistoryRow, Motion, Operations, Published, Seq, ServiceConfig,
     ServiceError, Solids, Submission,

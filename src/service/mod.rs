@@ -16,6 +16,7 @@ mod any;
 mod backup;
 mod before;
 mod budget;
+mod clock;
 mod copying;
 mod failpoint;
 mod feed;
@@ -228,11 +229,16 @@ pub enum SceneState {
         /// What, where, and what to do.
         cause: String,
     },
+    /// A newer version of this program made its files; this one leaves them alone.
+    Newer {
+        /// Which.
+        cause: String,
+    },
 }
 
 impl SceneState {
     /// The names of all states, in the order of [`SceneState::index`].
-    pub const NAMES: [&str; 4] = ["running", "recovering", "stopped", "damaged"];
+    pub const NAMES: [&str; 5] = ["running", "recovering", "stopped", "damaged", "newer"];
 
     /// Which of [`SceneState::NAMES`] it is.
     pub fn index(&self) -> usize {
@@ -241,6 +247,7 @@ impl SceneState {
             Self::Recovering { .. } => 1,
             Self::Stopped { .. } => 2,
             Self::Damaged { .. } => 3,
+            Self::Newer { .. } => 4,
         }
     }
 }
@@ -277,6 +284,12 @@ pub enum ServiceError {
     #[error("the scene is refused: {cause}")]
     Damaged {
         /// What, where, and what to do.
+        cause: String,
+    },
+    /// A newer version of this program made the scene's files.
+    #[error("the scene is refused: {cause}")]
+    Newer {
+        /// Which.
         cause: String,
     },
     /// Too many changes wait.

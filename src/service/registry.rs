@@ -167,7 +167,9 @@ impl Service {
             let cause = match scene.state() {
                 SceneState::Running => return None,
                 SceneState::Recovering { percent } => format!("is being replayed: {percent} %"),
-                SceneState::Stopped { cause, .. } | SceneState::Damaged { cause } => cause,
+                SceneState::Stopped { cause, .. }
+                | SceneState::Damaged { cause }
+                | SceneState::Newer { cause } => cause,
             };
             Some((scene.name().clone(), cause))
         });

@@ -90,6 +90,11 @@ pub(super) enum Condition<K: SceneKind> {
         /// What, where, and what to do.
         cause: String,
     },
+    /// A newer version of this program made its files.
+    Newer {
+        /// Which.
+        cause: String,
+    },
     /// It was dropped, or the service has shut down.
     Ended(End),
 }
@@ -197,6 +202,9 @@ impl<K: SceneKind> SceneOf<K> {
                 full: *full,
             },
             Condition::Damaged { cause } => SceneState::Damaged {
+                cause: cause.clone(),
+            },
+            Condition::Newer { cause } => SceneState::Newer {
                 cause: cause.clone(),
             },
             Condition::Ended(end) => SceneState::Stopped {
@@ -404,6 +412,9 @@ impl<K: SceneKind> SceneOf<K> {
             Condition::Damaged { cause } => ServiceError::Damaged {
                 cause: cause.clone(),
             },
+            Condition::Newer { cause } => ServiceError::Newer {
+                cause: cause.clone(),
+            },
             Condition::Ended(end) => self.refusal_of(Shut::Ended(*end)),
         }
     }
@@ -580,6 +591,7 @@ impl From<LogError> for ServiceError {
             LogError::Full { .. } => Self::Storage { cause, full: true },
             LogError::Failed { .. } => Self::Storage { cause, full: false },
             LogError::Damaged { .. } | LogError::Foreign { .. } => Self::Damaged { cause },
+            LogError::Newer { .. } => Self::Newer { cause },
         }
     }
 }

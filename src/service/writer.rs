@@ -9,8 +9,9 @@
 
 use std::collections::HashMap;
 use std::sync::Arc;
-use std::time::{Instant, SystemTime, UNIX_EPOCH};
+use std::time::Instant;
 
+use super::clock::Clock;
 use super::failpoint::{self, FailPoint};
 use super::feed::Feed;
 use super::inbox::{Pending, Reply};
@@ -32,6 +33,7 @@ const UPKEEP_PAUSE_PROBES: u32 = 60;
 /// Owns what a running scene changes.
 pub(super) struct Writer<K: SceneKind> {
     log: Log<K>,
+    clock: Clock,
     /// Newest durable state; the engine, which is in the feed, is at it between two groups.
     published: Published<K>,
     next_id: NextId,
@@ -82,6 +84,7 @@ impl<K: SceneKind> Writer<K> {
     ) -> Self {
         Self {
             log,
+            clock: Clock::default(),
             published: *published,
             next_id,
             feed: Arc::new(feed),
@@ -389,7 +392,7 @@ impl<K: SceneKind> Writer<K> {
             let before = K::removed(&published.totals);
             published = Published {
                 seq: Seq(published.seq.0 + 1),
-                at_ms: now_ms().max(published.at_ms),
+                at_ms: self.clock.now_ms(published.at_ms),
                 totals,
             };
             volume_removed = K::removed(&published.totals) - before;
@@ -500,13 +503,4 @@ fn replayed<K: SceneKind>(answer: &RecordedOutcome<K>) -> Applied<K> {
         volume_removed: answer.volume_removed,
         replayed: true,
     }
-}
-
-/// Milliseconds since 1970.
-pub(super) fn now_ms() -> u64 {
-    SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .map_or(0, |since| {
-            u64::try_from(since.as_millis()).unwrap_or(u64::MAX)
-        })
 }

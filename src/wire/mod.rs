@@ -20,6 +20,7 @@ mod decoded;
 pub mod documents;
 pub mod door;
 mod drawing;
+mod failures;
 pub mod grpc;
 pub mod http;
 mod kind;
@@ -30,6 +31,7 @@ pub mod problem;
 mod room;
 mod slices;
 pub mod solids;
+pub mod trust;
 mod vector;
 
 /// Messages, server and client generated from `proto/union3d/v1/*.proto`.

@@ -133,6 +133,8 @@ kinds! {
         "`cause` says why. It comes back by itself when the disk takes writes again. Whether the last change was applied is shown by the seq then.";
     SceneDamaged "scene-damaged" 503 None, "The scene's files are damaged",
         "`cause` says what is damaged and what to do. It does not come back by itself, and never with wrong totals.";
+    SceneNewer "scene-newer" 503 None, "A newer version of this program made the scene's files",
+        "They are left as they are: nothing is damaged. `cause` names their format; a server of that version reads them.";
     ShuttingDown "shutting-down" 503 Some(5), "The server is shutting down",
         "Nothing of the change was applied; of a stream the first `committed_lines`.";
     AnswerTimeout "answer-timeout" 503 Some(5), "The answer took too long",
@@ -450,6 +452,7 @@ impl From<ServiceError> for Problem {
             })
             .with("cause", cause),
             ServiceError::Damaged { cause } => problem(Code::SceneDamaged).with("cause", cause),
+            ServiceError::Newer { cause } => problem(Code::SceneNewer).with("cause", cause),
             ServiceError::QueueFull { .. } => problem(Code::QueueFull),
             ServiceError::Rejected(Rejected::IdConflict { id, .. })
             | ServiceError::RejectedSolids(solids::Rejected::IdConflict { id, .. }) => {

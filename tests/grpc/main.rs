@@ -4,6 +4,7 @@ mod access;
 mod calls;
 #[path = "../oracle/keys.rs"]
 mod keys;
+mod memory;
 mod operation;
 mod refusals;
 mod server;

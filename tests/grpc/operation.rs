@@ -18,6 +18,35 @@ use union3d::wire::proto::WatchMassPropertiesRequest;
 use crate::server::{PATIENCE, Server, channel, refused, row};
 use crate::stop::Stop;
 
+/// What a newer version of the program has made is told as that, and left as it is.
+#[tokio::test]
+async fn a_newer_scene_is_not_called_damaged() {
+    let server = Server::start().await;
+    server.scene("part", 6).await;
+    server.change("part", row(1..10)).await.unwrap();
+    let data = server.stop().await;
+    let file = data.path().join("scenes/part/scene.sqlite");
+    let mut bytes = std::fs::read(&file).unwrap();
+    // The number of the format, in the header of the database.
+    bytes[60..64].copy_from_slice(&99_i32.to_be_bytes());
+    std::fs::write(&file, &bytes).unwrap();
+
+    let config = ServiceConfig::new(data.path());
+    let server = Server::on(data, Limits::default(), config, None, true).await;
+    let status = server.change("part", row(10..11)).await.unwrap_err();
+    refused(&status, Code::FailedPrecondition, "scene-newer");
+    for path in ["/v1/scenes/part", "/v1/scenes/part/mass-properties"] {
+        let (status, problem) = server.get(path).await;
+        let expected = (503, &"/problems/scene-newer".into());
+        assert_eq!((status, &problem["type"]), expected, "{problem}");
+        let cause = problem["cause"].as_str().unwrap();
+        assert!(cause.contains("of format 99"), "{cause}");
+    }
+    let data = server.stop().await;
+    let left = std::fs::read(data.path().join("scenes/part/scene.sqlite")).unwrap();
+    assert!(left == bytes, "it was changed");
+}
+
 #[tokio::test]
 async fn it_serves_only_when_every_scene_is_replayed() {
     let server = Server::start().await;

@@ -33,6 +33,8 @@ pub(crate) struct Server {
     pub(crate) draining: CancellationToken,
     pub(crate) serving: JoinHandle<()>,
     pub(crate) client: Client,
+    /// Over HTTP. Kept: each new one reads the certificates of the machine's authorities.
+    web: reqwest::Client,
     data: TempDir,
 }
 
@@ -77,6 +79,7 @@ impl Server {
         wait: bool,
         access: Access,
     ) -> Self {
+        union3d::wire::trust::install_provider();
         let service = match faults {
             Some(faults) => Service::start_with_failpoints(config, faults).unwrap(),
             None => Service::start(config).unwrap(),
@@ -118,6 +121,7 @@ impl Server {
             draining,
             serving,
             client,
+            web: reqwest::Client::new(),
             data,
         }
     }
@@ -170,7 +174,8 @@ impl Server {
 
     /// What HTTP answers: status and JSON.
     pub(crate) async fn get(&self, path: &str) -> (u16, Value) {
-        let answer = reqwest::get(format!("{}{path}", self.http)).await.unwrap();
+        let url = format!("{}{path}", self.http);
+        let answer = self.web.get(url).send().await.unwrap();
         let status = answer.status().as_u16();
         (status, answer.json().await.unwrap_or_default())
     }
@@ -178,7 +183,7 @@ impl Server {
     /// What HTTP answers to a change in JSON.
     pub(crate) async fn post(&self, path: &str, body: &Value) -> (u16, Value) {
         let url = format!("{}{path}", self.http);
-        let request = reqwest::Client::new().post(url).json(body);
+        let request = self.web.post(url).json(body);
         let answer = request.send().await.unwrap();
         let status = answer.status().as_u16();
         (status, answer.json().await.unwrap_or_default())

@@ -50,7 +50,7 @@ pub(crate) async fn stream(
     client.stream_changes(messages).await.unwrap().into_inner()
 }
 
-async fn next(
+pub(crate) async fn next(
     answers: &mut Streaming<StreamChangesResponse>,
 ) -> Option<Result<response::Message, Status>> {
     let answer = tokio::time::timeout(PATIENCE, answers.next())

@@ -7,7 +7,7 @@ use union3d::wire::http::Limits;
 
 use crate::server::{JSON, Server, eventually};
 
-/// All of it, in bytes. One client comes to half, which is a body of JSON of an eighth.
+/// All of it, in bytes. One client comes to half, which is a body of JSON of a sixteenth.
 const MEMORY_BYTES: u64 = 1 << 20;
 
 async fn start() -> (Server, String) {
@@ -54,9 +54,9 @@ async fn holds(server: &Server, what: &str, expected: impl Fn(u64) -> bool) {
 async fn what_is_announced_takes_nothing() {
     let (server, scene) = start().await;
     let announcing: Vec<_> = (0..50)
-        .map(|_| begin(&server, &scene, 130_000, "{"))
+        .map(|_| begin(&server, &scene, 60_000, "{"))
         .collect();
-    holds(&server, "the first bytes have come", |held| held == 50 * 4).await;
+    holds(&server, "the first bytes have come", |held| held == 50 * 8).await;
     let answer = server.change(&scene, &change(60_000)).await;
     assert_eq!(answer.status, 200, "{}", answer.text);
     drop(announcing);
@@ -67,14 +67,14 @@ async fn what_is_announced_takes_nothing() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn who_holds_its_share_is_asked_to_come_again() {
     let (server, scene) = start().await;
-    let body = change(100_000);
-    let mut first = begin(&server, &scene, body.len(), &body[..90_000]);
-    holds(&server, "the first body comes", |held| held == 360_000).await;
+    let body = change(60_000);
+    let mut first = begin(&server, &scene, body.len(), &body[..50_000]);
+    holds(&server, "the first body comes", |held| held == 400_000).await;
     let answer = server.change(&scene, &body).await;
     answer.problem(429, "memory-used");
     assert_eq!(answer.header("retry-after"), "1");
     assert_eq!(server.totals(&scene).await["seq"], 0);
-    first.write_all(&body.as_bytes()[90_000..]).unwrap();
+    first.write_all(&body.as_bytes()[50_000..]).unwrap();
     let mut told = String::new();
     first.read_to_string(&mut told).unwrap();
     assert!(told.starts_with("HTTP/1.1 200"), "{told}");
@@ -91,7 +91,7 @@ async fn what_is_larger_than_a_share_is_too_large() {
     let document = answer.problem(413, "too-large");
     let detail = document["detail"].as_str().unwrap();
     assert!(
-        detail.contains("131072") && detail.contains("memory_bytes_max"),
+        detail.contains("65536") && detail.contains("memory_bytes_max"),
         "{detail}"
     );
     assert_eq!(server.service.budget().held(), 0);

@@ -70,6 +70,7 @@ impl Server {
         faults: Option<FailHook>,
         access: Access,
     ) -> Self {
+        union3d::wire::trust::install_provider();
         let config = config(ServiceConfig::new(data.path()));
         let service = match faults {
             Some(faults) => Service::start_with_failpoints(config, faults).unwrap(),

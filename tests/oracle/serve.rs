@@ -21,6 +21,7 @@ impl Server {
 
     /// With gRPC at an address.
     pub(crate) fn start_at(data: &Path, grpc: &str) -> Self {
+        union3d::wire::trust::install_provider();
         let mut child = Command::new(env!("CARGO_BIN_EXE_union3d"))
             .args([
                 "serve",

@@ -42,8 +42,12 @@ impl Backend {
     }
 
     /// A scene of a server, by its address.
-    pub(crate) fn server(address: &str, key: Option<&str>) -> Result<Self, Failure> {
-        let (server, name) = Server::of_scene(address, key)?;
+    pub(crate) fn server(
+        address: &str,
+        key: Option<&str>,
+        ca: Option<&Path>,
+    ) -> Result<Self, Failure> {
+        let (server, name) = Server::of_scene(address, key, ca)?;
         Ok(Self::Requested(RequestedScene::of_server(server, &name)))
     }
 

@@ -60,8 +60,9 @@ impl Scene {
         address: &str,
         settings: Option<&str>,
         key: Option<&str>,
+        ca: Option<PathBuf>,
     ) -> Result<Self, Failure> {
-        Self::opened(py, Backend::server(address, key)?, settings)
+        Self::opened(py, Backend::server(address, key, ca.as_deref())?, settings)
     }
 
     /// What it was when it was opened, a JSON document.

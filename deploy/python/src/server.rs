@@ -1,5 +1,6 @@
 //! Servers: requests over a connection.
 
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -8,6 +9,7 @@ use axum::body::Bytes;
 use axum::http::{Request, StatusCode, header};
 use reqwest::{Client, Url};
 use union3d::wire::problem::{Fault, Problem};
+use union3d::wire::trust::Trust;
 
 use crate::failure::Failure;
 use crate::requests::unreadable;
@@ -39,8 +41,12 @@ impl Unsent {
 impl Server {
     /// A server and the name of a scene, from the address of the scene: `http://host:7373/part`.
     /// # Errors
-    /// It is no such address.
-    pub(crate) fn of_scene(address: &str, key: Option<&str>) -> Result<(Self, String), Problem> {
+    /// It is no such address, or `ca` is no file of certificates, to trust besides the machine's authorities.
+    pub(crate) fn of_scene(
+        address: &str,
+        key: Option<&str>,
+        ca: Option<&Path>,
+    ) -> Result<(Self, String), Problem> {
         let wrong = |detail: String| {
             Problem::from(Fault {
                 value: Some(address.into()),
@@ -52,9 +58,14 @@ impl Server {
                 "is no address such as http://host:7373/part: {error}"
             ))
         })?;
-        if base.scheme() != "http" {
-            return Err(wrong("does not begin with http://".to_owned()));
+        if !["http", "https"].contains(&base.scheme()) {
+            return Err(wrong("begins with neither http:// nor https://".to_owned()));
         }
+        let trust = ca.map(Trust::read).transpose().map_err(|error| {
+            let detail = format!("is no file of certificates: {error}");
+            Problem::from(Fault::at("/ca".to_owned(), detail, None))
+        })?;
+        let tls = trust.unwrap_or_default().http(base.scheme() == "https");
         let name = base
             .path_segments()
             .and_then(|mut segments| segments.next_back());
@@ -70,6 +81,7 @@ impl Server {
         base.set_query(None);
         base.set_fragment(None);
         let client = Client::builder()
+            .tls_backend_preconfigured(tls)
             .connect_timeout(Duration::from_secs(5))
             .build()
             .map_err(|error| wrong(error.to_string()))?;
@@ -124,10 +136,13 @@ impl Server {
         while let Some(inner) = cause.source() {
             cause = inner;
         }
-        let detail = format!(
-            "cannot reach {}: {cause} (is the server running?)",
-            self.base
-        );
+        let cause = cause.to_string();
+        let advice = if cause.contains("certificate") {
+            "ca names a file of what is trusted besides the authorities of this machine"
+        } else {
+            "is the server running?"
+        };
+        let detail = format!("cannot reach {}: {cause} ({advice})", self.base);
         let problem =
             serde_json::json!({"type": "/problems/unreachable", "status": 503, "detail": detail});
         Unsent::Away(Failure::Problem(problem.to_string()))

@@ -13,7 +13,7 @@ use tonic::transport::{Channel, Endpoint};
 use tonic::{Code, Request, Status, Streaming};
 use uuid::Uuid;
 
-use super::super::client::{PATIENCE, SceneWanted, causes};
+use super::super::client::{PATIENCE, SceneWanted, causes, unreached};
 use super::super::credentials::{ADVICE, Credentials};
 use super::line::Material;
 use union3d::wire::grpc::Missing;
@@ -48,6 +48,9 @@ const IN_FLIGHT_MAX: usize = 256;
 const PAUSE_MIN: Duration = Duration::from_millis(20);
 const PAUSE_MAX: Duration = Duration::from_secs(1);
 
+/// How long is waited for the end of a stream in which all is acknowledged.
+const END_PATIENCE: Duration = Duration::from_secs(5);
+
 /// Why the server did not do what it was asked.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum Failure {
@@ -55,7 +58,7 @@ pub(crate) enum Failure {
     #[error("{server:?} is no address of a server: {cause} (try grpc://127.0.0.1:7374)")]
     Address { server: String, cause: String },
     /// Nobody answers.
-    #[error("cannot reach {server}: {cause} (is the server running? `union3d serve` starts one)")]
+    #[error("cannot reach {server}: {cause} ({})", unreached(cause))]
     Unreachable { server: String, cause: String },
     /// It answers with an error.
     #[error("{server}: {}{}", status.message(), advice(status))]
@@ -138,11 +141,20 @@ pub(super) async fn connect(server: &str, credentials: &Credentials) -> Result<C
     };
     let url = match server.strip_prefix("grpc://") {
         Some(rest) => format!("http://{rest}"),
-        None => server.to_owned(),
+        None => match server.strip_prefix("grpcs://") {
+            Some(rest) => format!("https://{rest}"),
+            None => server.to_owned(),
+        },
     };
-    let endpoint = Endpoint::from_shared(url)
+    let is_tls = url.starts_with("https://");
+    let mut endpoint = Endpoint::from_shared(url)
         .map_err(|error| address(error.to_string()))?
         .connect_timeout(Duration::from_secs(5));
+    if is_tls {
+        endpoint = endpoint
+            .tls_config(credentials.trust.grpc())
+            .map_err(|error| address(causes(&error)))?;
+    }
     let channel = endpoint
         .connect()
         .await
@@ -271,6 +283,11 @@ impl<T> GrpcStream<T> {
         while !self.in_flight.is_empty() {
             done.extend(self.acknowledged().await?);
         }
+        // The stream ends as both sides know it: else the server cannot tell a client that has all from one that was lost.
+        self.to = mpsc::channel(1).0;
+        let rest = async { while let Ok(Some(_)) = self.from.message().await {} };
+        // What was acknowledged stands, also when a server does not end the stream.
+        drop(tokio::time::timeout(END_PATIENCE, rest).await);
         let request = GetMassPropertiesRequest {
             scene: self.scene.clone(),
             ..GetMassPropertiesRequest::default()

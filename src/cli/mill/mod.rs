@@ -202,12 +202,16 @@ impl Args {
 
     /// Refuses what is only for a server where there is none.
     fn check_scene(&self) -> Result<(), &'static str> {
-        match (&self.scene, &self.credentials.key_file) {
-            (Some(_), _) => Err("--scene names a scene of a server: give --server or --grpc, too"),
-            (None, Some(_)) => {
+        let CredentialsArgs { key_file, ca } = &self.credentials;
+        match (&self.scene, key_file, ca) {
+            (Some(_), ..) => Err("--scene names a scene of a server: give --server or --grpc, too"),
+            (None, Some(_), _) => {
                 Err("--key-file has the key for a server: give --server or --grpc, too")
             }
-            (None, None) => Ok(()),
+            (None, None, Some(_)) => {
+                Err("--ca says which server to trust: give --server or --grpc, too")
+            }
+            (None, None, None) => Ok(()),
         }
     }
 

@@ -140,6 +140,7 @@ pub(super) fn scene(scene: &AnyScene) -> proto::Scene {
         }
         SceneState::Stopped { cause, .. } => (proto::SceneState::Stopped, None, Some(cause)),
         SceneState::Damaged { cause } => (proto::SceneState::Damaged, None, Some(cause)),
+        SceneState::Newer { cause } => (proto::SceneState::Newer, None, Some(cause)),
     };
     proto::Scene {
         name: scene.name().as_str().to_owned(),

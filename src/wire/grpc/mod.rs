@@ -2,14 +2,16 @@
 //! answer is `calls` and `atomic`, as for HTTP.
 //!
 //! ```text
-//!   request ── id, trace, measure ── panics ── deadlines ── hosts, keys ── handler ── service
+//!   request ── id, trace, measure ── panics ── deadlines ── hosts, keys ── memory ── handler ── service
 //!   beside it: health (serving once every scene is replayed) and reflection
 //! ```
 
 mod admission;
+mod framing;
 mod mass_properties;
 mod measure;
 mod messages;
+mod room;
 mod service;
 mod solids;
 mod status;
@@ -39,6 +41,7 @@ use self::service::Calls;
 use super::access::Access;
 use super::calls;
 use super::door::{Door, Protocol};
+use super::failures;
 use super::http::Limits;
 use super::problem::Problem;
 use super::proto::FILE_DESCRIPTOR_SET;
@@ -79,11 +82,19 @@ pub async fn serve(
         // Common tools still ask in the older way.
         .add_service(reflection().build_v1alpha().expect(well_formed))
         .add_service(calls);
+    let room = room::Rooms {
+        budget: service.budget().clone(),
+        wait_max: limits.request_timeout,
+    };
     let router = calls.prepare().into_axum_router().layer(
         ServiceBuilder::new()
             .layer(SetRequestIdLayer::x_request_id(MakeRequestUuid))
             .layer(SetSensitiveRequestHeadersLayer::new([AUTHORIZATION]))
-            .layer(TraceLayer::new_for_grpc().make_span_with(span))
+            .layer(
+                TraceLayer::new(failures::of_grpc())
+                    .make_span_with(span)
+                    .on_failure(failures::tell_grpc()),
+            )
             .layer(PropagateRequestIdLayer::x_request_id())
             .layer(measure::layer())
             .layer(CatchPanicLayer::custom(panicked))
@@ -91,7 +102,8 @@ pub async fn serve(
                 limits.request_timeout,
                 time::in_time,
             ))
-            .layer(admission::layer(access)),
+            .layer(admission::layer(access))
+            .layer(middleware::from_fn_with_state(room, room::taken)),
     );
     let serving = door.serve(listener, Protocol::Grpc, router, draining.clone());
     let showing = show_health(&reporter, &service, &draining);

@@ -10,7 +10,7 @@ use tonic::{Request, Response, Status, Streaming, async_trait};
 
 use super::admission::{Whole, permitted, ticket};
 use super::messages::{self, Detail, MessageKind};
-use super::{idempotency_key, solids, status, stream};
+use super::{idempotency_key, room, solids, status, stream};
 use crate::geometry::CubeId;
 use crate::service::{AnyScene, Reading, SceneOf, Seq, Service, ServiceError};
 use crate::wire::access::{Effect, Ticket};
@@ -372,8 +372,8 @@ impl UnionService for Calls {
         request: Request<Streaming<StreamChangesRequest>>,
     ) -> tonic::Result<Response<Self::StreamChangesStream>> {
         let (limits, draining) = (self.limits, self.draining.clone());
-        let ticket = ticket(&request);
-        let inbound = request.into_inner();
+        let (ticket, room) = (ticket(&request), room::of(&request));
+        let inbound = stream::Inbound::new(request.into_inner(), room);
         let answers = stream::open(&self.service, limits, draining, ticket, inbound).await?;
         Ok(Response::new(Box::pin(answers)))
     }

@@ -36,7 +36,7 @@ const fn grpc_code(code: Code) -> GrpcCode {
         Code::NoSuchPath | Code::MethodNotAllowed => GrpcCode::Unimplemented,
         Code::NoSuchScene | Code::NoSuchCube => GrpcCode::NotFound,
         Code::SceneExists | Code::IdConflict | Code::ShapeExists => GrpcCode::AlreadyExists,
-        Code::KeyReused | Code::OtherKind => GrpcCode::FailedPrecondition,
+        Code::KeyReused | Code::OtherKind | Code::SceneNewer => GrpcCode::FailedPrecondition,
         Code::ReadTooSlowly => GrpcCode::Aborted,
         Code::SeqNotReached | Code::SeqNotKept | Code::NotReachable => GrpcCode::OutOfRange,
         Code::RequestTimeout | Code::WaitTimeout | Code::AnswerTimeout => {
@@ -182,7 +182,8 @@ mod tests {
             .iter()
             .filter(|kind| kind.status == 503 || kind.status == 429)
         {
-            assert!(kind.retry_after_seconds.is_some() || kind.code == "scene-damaged");
+            let is_lasting = ["scene-damaged", "scene-newer"].contains(&kind.code);
+            assert!(kind.retry_after_seconds.is_some() || is_lasting);
         }
         let status = status(&Problem::new(Code::QueueFull, "full"), "");
         let retry = status.get_error_details().retry_info().cloned().unwrap();

@@ -5,6 +5,7 @@
 //!                          ▲                                                                  │
 //!                          └──── nothing is read while nobody reads what comes out ◄──────────┘
 //! ```
+//! The memory of a change is taken while it arrives, and given back when it is judged; while there is none, nothing is read.
 //! All of it is one stream of answers, which runs only as far as the client reads it: there is no task and no queue besides the
 //! scene's own. A window rather than one chunk in flight, as lines of JSON have it: here each change has its own answer, and the
 //! chain keeps what follows a refused change from being applied.
@@ -21,9 +22,10 @@ use tonic::{Status, Streaming};
 
 use super::admission::may;
 use super::messages::{self, Detail, MessageKind, unknown};
+use super::room::Room;
 use super::status::{self, foreign};
 use crate::service::{
-    Applied, Chain, Counting, Motion, Operations, SceneOf, ServiceError, Submission,
+    Applied, Chain, Counting, Motion, Operations, SceneOf, ServiceError, Share, Submission,
 };
 use crate::wire::access::{Effect, Ticket};
 use crate::wire::atomic::{Atomic, Sent};
@@ -48,6 +50,24 @@ const BODY: &str = "change";
 /// The answers of a stream.
 pub(super) type Answers = Pin<Box<dyn Stream<Item = Result<StreamChangesResponse, Status>> + Send>>;
 
+/// The messages of a stream, each with the memory that was taken for it.
+pub(super) struct Inbound {
+    messages: Streaming<StreamChangesRequest>,
+    room: Room,
+}
+
+impl Inbound {
+    pub(super) fn new(messages: Streaming<StreamChangesRequest>, room: Room) -> Self {
+        Self { messages, room }
+    }
+
+    /// The next message. Safe to be cancelled.
+    async fn message(&mut self) -> Result<Option<(StreamChangesRequest, Share)>, Status> {
+        let message = self.messages.message().await?;
+        Ok(message.map(|message| (message, self.room.of_next_message())))
+    }
+}
+
 /// What has come of one message.
 enum Done<K: MessageKind> {
     /// A change, with the client's number of it.
@@ -62,14 +82,15 @@ pub(super) async fn open(
     limits: Limits,
     draining: CancellationToken,
     ticket: Ticket,
-    mut inbound: Streaming<StreamChangesRequest>,
+    mut inbound: Inbound,
 ) -> Result<Answers, Status> {
     let opening = timeout(limits.request_timeout, inbound.message()).await;
     let opening = opening
         .map_err(|_| Problem::new(Code::RequestTimeout, "the stream was never opened"))
         .map_err(|problem| status::status(&problem, ""))?
         .map_err(|broken| end(&broken))?;
-    let Some(request::Message::Opening(opening)) = opening.and_then(|first| first.message) else {
+    let opening = opening.and_then(|(first, _)| first.message);
+    let Some(request::Message::Opening(opening)) = opening else {
         let fault = Fault::in_parameter("opening", "is not the first message of the stream", "");
         return Err(status::status(&fault.into(), ""));
     };
@@ -102,7 +123,7 @@ pub(super) async fn open(
 
 /// A stream whose first message was read.
 struct Opening {
-    inbound: Streaming<StreamChangesRequest>,
+    inbound: Inbound,
     detail: Detail,
     /// Whether nothing is applied after a refused change.
     stops: bool,
@@ -217,7 +238,7 @@ fn end(broken: &Status) -> Status {
 
 /// Takes messages and queues the changes in them, one after the other.
 struct Reader<K: MessageKind> {
-    inbound: Streaming<StreamChangesRequest>,
+    inbound: Inbound,
     scene: Arc<SceneOf<K>>,
     settings: Arc<K::Settings>,
     /// There when nothing may be applied after a refused change.
@@ -242,11 +263,14 @@ impl<K: MessageKind> Reader<K> {
             }
             message = self.inbound.message() => message,
         };
-        let change = match message {
+        let (change, share) = match message {
             Ok(None) => return None,
-            Ok(Some(StreamChangesRequest {
-                message: Some(request::Message::Change(change)),
-            })) => change,
+            Ok(Some((
+                StreamChangesRequest {
+                    message: Some(request::Message::Change(change)),
+                },
+                share,
+            ))) => (change, share),
             Ok(Some(_)) => {
                 let detail = "is missing: after the first message each has a change";
                 let problem = Fault::in_parameter(BODY, detail, "").into();
@@ -260,7 +284,11 @@ impl<K: MessageKind> Reader<K> {
         let tag = change.tag;
         match self.queue(change).await {
             Ok(judged) => {
-                let done = async move { Done::Judged(tag, judged.await.map(Box::new)) };
+                let done = async move {
+                    let judged = judged.await.map(Box::new);
+                    drop(share);
+                    Done::Judged(tag, judged)
+                };
                 Some((Box::pin(done), self))
             }
             Err(problem) => {

@@ -13,11 +13,9 @@ use hyper::body::Frame;
 use tokio::time::{Instant, Sleep, sleep_until, timeout};
 use tonic::Status;
 
+use super::framing::{Framing, Mark};
 use super::status;
 use crate::wire::problem::{Code, Problem};
-
-/// Size of what stands before each message: whether it is compressed, and its length.
-const PREFIX_BYTES: usize = 5;
 
 /// Middleware: messages that have begun arrive within this time, and an answer begins within the client's own.
 pub(super) async fn in_time(
@@ -63,11 +61,7 @@ fn deadline(headers: &HeaderMap) -> Option<Duration> {
 struct Timely {
     body: Body,
     time_max: Duration,
-    /// What is still to come of the message, once its prefix is there.
-    rest: usize,
-    prefix: [u8; PREFIX_BYTES],
-    /// How much of a prefix has come.
-    prefix_length: usize,
+    framing: Framing,
     /// How long the rest of this message was waited for, up to when it was last waited for.
     waited: Duration,
     waiting: Option<(Instant, Pin<Box<Sleep>>)>,
@@ -79,42 +73,10 @@ impl Timely {
         Self {
             body,
             time_max,
-            rest: 0,
-            prefix: [0; PREFIX_BYTES],
-            prefix_length: 0,
+            framing: Framing::default(),
             waited: Duration::ZERO,
             waiting: None,
             is_over: false,
-        }
-    }
-
-    /// Whether a message has begun and not ended.
-    fn is_within(&self) -> bool {
-        self.rest > 0 || self.prefix_length > 0
-    }
-
-    /// Follows the messages through a piece of the body.
-    fn follow(&mut self, mut bytes: &[u8]) {
-        while !bytes.is_empty() {
-            let passed = self.rest.min(bytes.len());
-            self.rest -= passed;
-            bytes = &bytes[passed..];
-            if self.rest > 0 || bytes.is_empty() {
-                break;
-            }
-            // Here a message begins, or its prefix goes on.
-            if self.prefix_length == 0 {
-                self.waited = Duration::ZERO;
-            }
-            let missing = (PREFIX_BYTES - self.prefix_length).min(bytes.len());
-            self.prefix[self.prefix_length..][..missing].copy_from_slice(&bytes[..missing]);
-            self.prefix_length += missing;
-            bytes = &bytes[missing..];
-            if self.prefix_length == PREFIX_BYTES {
-                self.prefix_length = 0;
-                let [_, length @ ..] = self.prefix;
-                self.rest = usize::try_from(u32::from_be_bytes(length)).unwrap_or(usize::MAX);
-            }
         }
     }
 }
@@ -138,11 +100,16 @@ impl HttpBody for Timely {
             if let Some(Ok(frame)) = &frame
                 && let Some(bytes) = frame.data_ref()
             {
-                this.follow(bytes);
+                let waited = &mut this.waited;
+                this.framing.follow(bytes, |mark| {
+                    if mark == Mark::Begins {
+                        *waited = Duration::ZERO;
+                    }
+                });
             }
             return Poll::Ready(frame.map(|frame| frame.map_err(Into::into)));
         }
-        if !this.is_within() {
+        if !this.framing.is_within() {
             this.waiting = None;
             return Poll::Pending;
         }

@@ -53,6 +53,7 @@ pub(in crate::wire) use self::request::Return;
 use super::access::Access;
 use super::calls::{self, within};
 use super::door::{Door, Protocol};
+use super::failures;
 use super::problem::{Code, Problem};
 use crate::service::Service;
 
@@ -199,7 +200,11 @@ pub fn router(service: Service, limits: Limits, access: Access) -> Router {
                 .layer(SetSensitiveRequestHeadersLayer::new([
                     header::AUTHORIZATION,
                 ]))
-                .layer(TraceLayer::new_for_http().make_span_with(span))
+                .layer(
+                    TraceLayer::new_for_http()
+                        .make_span_with(span)
+                        .on_failure(failures::tell_http()),
+                )
                 .layer(PropagateRequestIdLayer::x_request_id())
                 .layer(middleware::from_fn(measure))
                 .layer(CompressionLayer::new())

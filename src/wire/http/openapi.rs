@@ -318,6 +318,7 @@ const EVERY_SCENE: &[Code] = &[
     Code::Recovering,
     Code::SceneStopped,
     Code::SceneDamaged,
+    Code::SceneNewer,
     Code::DiskFull,
     Code::ShuttingDown,
 ];

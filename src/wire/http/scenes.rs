@@ -74,6 +74,8 @@ enum State_ {
     Stopped,
     /// Its files are damaged; it does not come back by itself.
     Damaged,
+    /// A newer version of this program made its files; this one leaves them alone.
+    Newer,
 }
 
 /// All scenes.
@@ -90,6 +92,7 @@ fn document(scene: &AnyScene) -> SceneDocument {
         SceneState::Recovering { percent } => (State_::Recovering, Some(percent), None),
         SceneState::Stopped { cause, .. } => (State_::Stopped, None, Some(cause)),
         SceneState::Damaged { cause } => (State_::Damaged, None, Some(cause)),
+        SceneState::Newer { cause } => (State_::Newer, None, Some(cause)),
     };
     let count = newest.map(|(_, count)| count);
     let (settings, solid_settings, cubes, solids) = match scene {

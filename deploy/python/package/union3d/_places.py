@@ -61,6 +61,7 @@ def connect(
     edge: float | None = None,
     *,
     key: str | None = None,
+    ca: str | os.PathLike[str] | None = None,
     kind: Kind = "cubes",
     shapes: Mapping[str, Shape] | None = None,
     steps_per_unit: int | None = None,
@@ -76,10 +77,11 @@ def connect(
     when an answer was lost; a server that has answered once is waited for while it is away, for up to 30 seconds.
 
     Args:
-        url: Address of the server (``http://``) and name of the scene, ``[a-z0-9][a-z0-9._-]{0,62}``.
+        url: Address of the server (``http://`` or ``https://``) and name of the scene, ``[a-z0-9][a-z0-9._-]{0,62}``.
         edge: As of `Scene`, with the other settings: makes the scene where it is not there yet, as ``kind="solids"`` does. Without
             either the scene is opened with the settings that it has.
         key: Sent as ``Authorization: Bearer KEY``, for a server or a proxy before it that asks for one.
+        ca: File of certificates (PEM) that are trusted besides the machine's authorities, for a server with ``https://``.
 
     Raises:
         InvalidInput: The address is none.
@@ -91,7 +93,7 @@ def connect(
     wanted = None
     if edge is not None or kind != "cubes":
         wanted = settings_of(edge, kind, shapes, steps_per_unit, unit, density, anchor, rounding, stock)
-    return Scene._of(native.Scene.server(url, wanted, key))
+    return Scene._of(native.Scene.server(url, wanted, key, None if ca is None else Path(ca)))
 
 
 def measure(
