@@ -188,11 +188,6 @@ impl SolidSettings {
         serde_json::to_string(self).expect("numbers, strings and names are JSON")
     }
 
-    /// Label of the user unit.
-    pub fn unit(&self) -> &str {
-        &self.unit
-    }
-
     /// How user units and steps correspond.
     pub fn scale(&self) -> Scale {
         let scale = Scale::new(self.steps_per_unit).expect("it was checked");
