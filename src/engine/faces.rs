@@ -435,11 +435,15 @@ impl Plane {
     }
 
     /// Sweeps along a stretch of a line.
+    #[allow(
+        clippy::too_many_lines,
+        reason = "one sweep, whose parts share all that it knows"
+    )]
     fn follow(
         &self,
         squares: &[Square],
         along: usize,
-        (at, from, to): (i64, i64, i64),
+        (line, from, to): (i64, i64, i64),
         lines: &mut Lines,
         exposed: &mut [Exposed; 2],
     ) {
@@ -450,146 +454,104 @@ impl Plane {
             return;
         }
         let across = 1 - along;
-        let sides_in = |range: &Range<i64>| {
-            [
-                range.start < at && at <= range.end,
-                range.start <= at && at < range.end,
-            ]
+        let (stock, within) = (&self.stock, &self.within);
+        let from = from.max(stock[along].start).max(within[along].start);
+        let to = to.min(stock[along].end).min(within[along].end);
+        events.clear();
+        for &which in touching.iter() {
+            let square = &squares[which];
+            let low = square.corner[across];
+            let sides = [low < line, line < low + self.edge];
+            let mut change = [0; 4];
+            for quadrant in 0..4 {
+                let is_there = sides[quadrant >> 1] && square.is_there[quadrant & 1];
+                change[quadrant] = i32::from(is_there);
+            }
+            let begin = square.corner[along];
+            events.push((begin, change));
+            events.push((begin + self.edge, change.map(|there| -there)));
+        }
+        events.sort_unstable_by_key(|(at, _)| *at);
+        let is_in = |range: &Range<i64>| [range.start < line, line < range.end];
+        let is_before_end = |range: &Range<i64>| [line <= range.end, line >= range.start];
+        let in_range = |range: &Range<i64>| {
+            let (inside, limit) = (is_in(range), is_before_end(range));
+            [inside[0] && limit[0], inside[1] && limit[1]]
         };
-        let line = Line {
-            plane: self,
-            squares,
-            along,
-            at,
-            in_stock: sides_in(&self.stock[across]),
-            in_within: sides_in(&self.within[across]),
+        let (in_stock, in_within) = (in_range(&stock[across]), in_range(&within[across]));
+        let pattern_of = |count: &[i32; 4]| {
+            let mut pattern = [false; 4];
+            for quadrant in 0..4 {
+                let is_possible = in_stock[quadrant >> 1] && self.is_open[quadrant & 1];
+                pattern[quadrant] = is_possible && (count[quadrant] > 0) != self.is_complement;
+            }
+            pattern
         };
-        line.find_events(touching, events);
-        let (stock, within) = (&self.stock[along], &self.within[along]);
-        let from = from.max(stock.start).max(within.start);
-        let to = to.min(stock.end).min(within.end);
+        let mut flush = |begin: i64, end: i64, pattern: [bool; 4]| {
+            if begin >= end {
+                return;
+            }
+            for upward in [0, 1] {
+                let shows = |side: usize| {
+                    let (inner, outer) = (2 * side + 1 - upward, 2 * side + upward);
+                    in_within[side] && pattern[inner] && !pattern[outer]
+                };
+                let sides = [shows(0), shows(1)];
+                if sides[0] == sides[1] {
+                    continue;
+                }
+                let point = |at: i64| if along == 0 { [at, line] } else { [line, at] };
+                // Looking down the axis, what is above a line that runs along the first of the two lies to its left.
+                let is_forward = sides[1] == (along == 0) && upward == 1
+                    || sides[1] != (along == 0) && upward == 0;
+                let edge = [point(begin), point(end)];
+                let face = &mut exposed[upward];
+                let [one, other] = edge;
+                face.edges
+                    .push(if is_forward { edge } else { [other, one] });
+                if !self.is_side {
+                    let left = usize::from(sides[1]);
+                    let level = if self.is_complement {
+                        upward
+                    } else {
+                        1 - upward
+                    };
+                    let owners = touching.iter().map(|&which| &squares[which]);
+                    let owners = owners.filter(|square| {
+                        let low = square.corner[across];
+                        let is_beside = [low < line, line < low + self.edge][left];
+                        let first = square.corner[along];
+                        let covers = first < end && begin < first + self.edge;
+                        is_beside && covers && square.is_face() && square.is_there[level]
+                    });
+                    let least = owners.map(|square| square.id).chain(face.body).min();
+                    face.body = least;
+                }
+            }
+        };
         let mut count = [0; 4];
-        let mut current: Option<(i64, [bool; 4])> = None;
+        let mut current = (from, None);
         let mut index = 0;
         // From one place where something changes to the next.
-        let mut here = from;
-        while here < to {
-            while let Some((_, change)) = events.get(index).filter(|(event, _)| *event <= here) {
+        let mut at = from;
+        while at < to {
+            while let Some((_, change)) = events.get(index).filter(|(event, _)| *event <= at) {
                 for quadrant in 0..4 {
                     count[quadrant] += change[quadrant];
                 }
                 index += 1;
             }
-            let pattern = line.pattern(&count);
-            match current {
-                Some((_, before)) if before == pattern => {}
-                before => {
-                    if let Some((begin, pattern)) = before {
-                        line.show((begin, here), pattern, touching, exposed);
-                    }
-                    current = Some((here, pattern));
+            let pattern = pattern_of(&count);
+            if current.1 != Some(pattern) {
+                if let Some(before) = current.1 {
+                    flush(current.0, at, before);
                 }
+                current = (at, Some(pattern));
             }
-            here = events.get(index).map_or(to, |(event, _)| (*event).min(to));
+            at = events.get(index).map_or(to, |(event, _)| (*event).min(to));
         }
-        if let Some((begin, pattern)) = current {
-            line.show((begin, to), pattern, touching, exposed);
-        }
-    }
-}
-
-/// A line of a plane. Quadrants around it are counted from 0: below the plane and above it on the line's lesser side, then on the other.
-struct Line<'a> {
-    plane: &'a Plane,
-    squares: &'a [Square],
-    /// The axis of the two that it runs along.
-    along: usize,
-    /// Where it cuts the other.
-    at: i64,
-    /// Which of its sides are in the stock.
-    in_stock: [bool; 2],
-    /// Which are listed.
-    in_within: [bool; 2],
-}
-
-impl Line<'_> {
-    /// On which of its sides a square lies.
-    fn sides(&self, square: &Square) -> [bool; 2] {
-        let low = square.corner[1 - self.along];
-        [low < self.at, self.at < low + self.plane.edge]
-    }
-
-    /// Where squares begin and end along it, sorted.
-    fn find_events(&self, touching: &[usize], events: &mut Vec<(i64, [i32; 4])>) {
-        events.clear();
-        for &which in touching {
-            let square = &self.squares[which];
-            let sides = self.sides(square);
-            let change = [0, 1, 2, 3].map(|quadrant: usize| {
-                i32::from(sides[quadrant >> 1] && square.is_there[quadrant & 1])
-            });
-            let begin = square.corner[self.along];
-            events.push((begin, change));
-            events.push((begin + self.plane.edge, change.map(|there| -there)));
-        }
-        events.sort_unstable_by_key(|(at, _)| *at);
-    }
-
-    /// Which quadrants are full, by how many cubes are there.
-    fn pattern(&self, count: &[i32; 4]) -> [bool; 4] {
-        [0, 1, 2, 3].map(|quadrant: usize| {
-            let is_possible = self.in_stock[quadrant >> 1] && self.plane.is_open[quadrant & 1];
-            is_possible && (count[quadrant] > 0) != self.plane.is_complement
-        })
-    }
-
-    /// Adds an interval of one pattern to the faces that have an edge there.
-    fn show(
-        &self,
-        (begin, end): (i64, i64),
-        pattern: [bool; 4],
-        touching: &[usize],
-        exposed: &mut [Exposed; 2],
-    ) {
-        for (upward, face) in exposed.iter_mut().enumerate() {
-            let sides = [0, 1].map(|side: usize| {
-                let (inner, outer) = (2 * side + 1 - upward, 2 * side + upward);
-                self.in_within[side] && pattern[inner] && !pattern[outer]
-            });
-            if sides[0] == sides[1] {
-                continue;
-            }
-            let point = |along: i64| {
-                let mut point = [self.at; 2];
-                point[self.along] = along;
-                point
-            };
-            let [tail, head] = [point(begin), point(end)];
-            // Looking down the axis, what is on the greater side of a line that runs along the first of the two lies to its left.
-            let is_forward = (sides[1] == (self.along == 0)) == (upward == 1);
-            let edge = if is_forward {
-                [tail, head]
-            } else {
-                [head, tail]
-            };
-            face.edges.push(edge);
-            if self.plane.is_side {
-                continue;
-            }
-            // Of what is cut away the material is on the other side.
-            let level = if self.plane.is_complement {
-                upward
-            } else {
-                1 - upward
-            };
-            let owners = touching.iter().map(|&which| &self.squares[which]);
-            let owners = owners.filter(|square| {
-                let first = square.corner[self.along];
-                let is_beside = first < end && begin < first + self.plane.edge;
-                let is_its = square.is_face() && square.is_there[level];
-                is_its && is_beside && self.sides(square)[usize::from(sides[1])]
-            });
-            face.body = owners.map(|square| square.id).chain(face.body).min();
+        if let (begin, Some(pattern)) = current {
+            flush(begin, to, pattern);
         }
     }
 }
