@@ -12,6 +12,7 @@ use std::fs::File;
 use std::io::{self, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 
 use rustc_hash::FxHashMap;
+use serde_json::json;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
@@ -292,14 +293,29 @@ impl<'a> MeshWriter<'a> {
         let (vertices, indices) = (self.vertices.len(), 3 * self.triangles);
         let (vertex_bytes, index_bytes) = (12 * vertices, 4 * indices);
         let size = vertex_bytes as u64 + index_bytes;
+        let asset = json!({"version": "2.0", "generator": "union3d"});
         // A file without triangles has no mesh: an accessor has one element at least.
-        let mut json = if self.triangles == 0 {
-            r#"{"asset":{"version":"2.0","generator":"union3d"}}"#.to_owned()
+        let json = if self.triangles == 0 {
+            json!({"asset": asset})
         } else {
-            format!(
-                r#"{{"asset":{{"version":"2.0","generator":"union3d"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}},"indices":1,"mode":4}}]}}],"buffers":[{{"byteLength":{size}}}],"bufferViews":[{{"buffer":0,"byteOffset":0,"byteLength":{vertex_bytes},"target":34962}},{{"buffer":0,"byteOffset":{vertex_bytes},"byteLength":{index_bytes},"target":34963}}],"accessors":[{{"bufferView":0,"componentType":5126,"count":{vertices},"type":"VEC3","min":{least:?},"max":{greatest:?}}},{{"bufferView":1,"componentType":5125,"count":{indices},"type":"SCALAR"}}]}}"#
-            )
+            json!({
+                "asset": asset,
+                "scene": 0,
+                "scenes": [{"nodes": [0]}],
+                "nodes": [{"mesh": 0}],
+                "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1, "mode": 4}]}],
+                "buffers": [{"byteLength": size}],
+                "bufferViews": [
+                    {"buffer": 0, "byteOffset": 0, "byteLength": vertex_bytes, "target": 34962},
+                    {"buffer": 0, "byteOffset": vertex_bytes, "byteLength": index_bytes, "target": 34963},
+                ],
+                "accessors": [
+                    {"bufferView": 0, "componentType": 5126, "count": vertices, "type": "VEC3", "min": least, "max": greatest},
+                    {"bufferView": 1, "componentType": 5125, "count": indices, "type": "SCALAR"},
+                ],
+            })
         };
+        let mut json = json.to_string();
         while json.len() % 4 != 0 {
             json.push(' ');
         }
@@ -330,9 +346,14 @@ impl<'a> MeshWriter<'a> {
 
     fn write_3mf(&mut self, beside: &mut impl Read) -> io::Result<()> {
         const TYPES: &str = r#"<?xml version="1.0" encoding="UTF-8"?>
-<Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types"><Default Extension="rels" ContentType="application/vnd.openxmlformats-package.relationships+xml"/><Default Extension="model" ContentType="application/vnd.ms-package.3dmanufacturing-3dmodel+xml"/></Types>"#;
+<Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types">
+<Default Extension="rels" ContentType="application/vnd.openxmlformats-package.relationships+xml"/>
+<Default Extension="model" ContentType="application/vnd.ms-package.3dmanufacturing-3dmodel+xml"/>
+</Types>"#;
         const RELATIONS: &str = r#"<?xml version="1.0" encoding="UTF-8"?>
-<Relationships xmlns="http://schemas.openxmlformats.org/package/2006/relationships"><Relationship Target="/3D/3dmodel.model" Id="rel0" Type="http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"/></Relationships>"#;
+<Relationships xmlns="http://schemas.openxmlformats.org/package/2006/relationships">
+<Relationship Target="/3D/3dmodel.model" Id="rel0" Type="http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"/>
+</Relationships>"#;
         let unit = match self.unit {
             "um" | "µm" | "μm" | "micron" => "micron",
             "cm" | "centimeter" | "centimetre" => "centimeter",

@@ -304,8 +304,8 @@ impl Crossing {
             .wrapping_mul(0x9e37_79b9)
             .wrapping_add(other)
             .wrapping_mul(0x5851_f42d_4c95_7f2d);
-        let mixed = (mixed.cast_unsigned() >> 40) as usize;
-        mixed & (self.buckets.len() - 1)
+        let mixed = usize::try_from(mixed.cast_unsigned() >> 40);
+        mixed.expect("24 bits fit") & (self.buckets.len() - 1)
     }
 
     fn add(&mut self, square: Square) {
@@ -435,6 +435,10 @@ impl Plane {
     }
 
     /// Sweeps along a stretch of a line.
+    #[allow(
+        clippy::too_many_lines,
+        reason = "one sweep, whose parts share all that it knows"
+    )]
     fn follow(
         &self,
         squares: &[Square],

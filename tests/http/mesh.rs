@@ -135,6 +135,9 @@ async fn every_format_has_the_same_triangles() {
         let answer = mesh(&server, &scene, "format=ply").await;
         let tag = answer.headers()["etag"].to_str().unwrap().to_owned();
         assert!(tag.ends_with(&format!("-{seq}\"")), "{tag}");
+        let again = server.request("GET", &format!("{scene}/mesh?format=ply"));
+        let again = again.header("if-none-match", &tag).send().await.unwrap();
+        assert_eq!(again.status(), 304);
         assert_eq!(answer.headers()["content-type"], "application/ply");
         let name = answer.headers()["content-disposition"].to_str().unwrap();
         assert!(name.ends_with(".ply\""), "{name}");

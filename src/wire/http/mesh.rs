@@ -7,12 +7,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use axum::body::Body;
 use axum::extract::State;
-use axum::http::{HeaderMap, HeaderValue, header};
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use headers::{ContentLength, HeaderMapExt};
+use headers::{ContentLength, HeaderMapExt, IfNoneMatch};
+use tokio::sync::Semaphore;
 use tokio_util::io::ReaderStream;
 
-use super::reads::entity_tag;
+use super::reads::{NO_CACHE, entity_tag};
 use super::request::{Known, Parameters, Path, Room};
 use super::{App, scenes};
 use crate::boundary::mesh_file::{Format, MeshError, MeshWriter};
@@ -28,8 +29,14 @@ const PIECE_BYTES: usize = 64 << 10;
 /// Bodies that are read between two changes.
 const BODIES_AT_ONCE: usize = 4_096;
 
+/// Meshes that are made at a time, each on a thread of its own; others wait.
+static MAKING: Semaphore = Semaphore::const_new(4);
+
 /// What a body takes of memory while a mesh is made, in bytes.
 const BODY_BYTES: u64 = 128;
+
+/// What is said of `part`.
+const ABOUT_PART: &str = "`union`, or of a scene with a stock `removed` or `remaining`, which is meant there when it is left out";
 
 /// What is said of `box`.
 const ABOUT_BOX: &str = "`x0,y0,z0,x1,y1,z1` in user units, rounded to the lattice: what lies in it, and up to half a step outside, exactly cut there and \
@@ -45,19 +52,24 @@ const ABOUT_BOX: &str = "`x0,y0,z0,x1,y1,z1` in user units, rounded to the latti
     get, path = "/v1/scenes/{scene}/mesh", tag = "mass properties",
     params(
         ("scene" = String, Path, description = "Name of the scene", example = "pocket"),
-        ("part" = Option<String>, Query, pattern = "^(union|removed|remaining)$", description = "`union`, or of a scene with a stock `removed` or `remaining`, which is meant there when it is left out", example = "union"),
-        ("box" = Option<String>, Query, pattern = r"^[-+]?[0-9]{1,9}(\.[0-9]{1,9})?(,[-+]?[0-9]{1,9}(\.[0-9]{1,9})?){5}$", description = ABOUT_BOX, example = "0,0,0,10,10,10"),
+        ("part" = Option<String>, Query, pattern = "^(union|removed|remaining)$", description = ABOUT_PART, example = "union"),
+        ("box" = Option<String>, Query, pattern = r"^-?[0-9]{1,9}(\.[0-9]{1,9})?(,-?[0-9]{1,9}(\.[0-9]{1,9})?){5}$", description = ABOUT_BOX, example = "0,0,0,10,10,10"),
         ("at-most" = Option<u64>, Query, description = "A mesh of more triangles is refused", example = 1_000_000),
+        ("If-None-Match" = Option<String>, Header, description = "A tag of an earlier answer: nothing is made while nothing has changed"),
         ("format" = Option<String>, Query, pattern = "^(stl|ply|obj|3mf|glb)$", description = "`stl` if left out", example = "ply"),
     ),
-    responses((status = 200, description = "The mesh", content(
-        (Vec<u8> = "model/stl"), (Vec<u8> = "application/ply"), (String = "model/obj"), (Vec<u8> = "model/3mf"), (Vec<u8> = "model/gltf-binary"),
-    )))
+    responses(
+        (status = 200, description = "The mesh", content(
+            (Vec<u8> = "model/stl"), (Vec<u8> = "application/ply"), (String = "model/obj"), (Vec<u8> = "model/3mf"), (Vec<u8> = "model/gltf-binary"),
+        )),
+        (status = 304, description = "It is that of `If-None-Match`"),
+    )
 )]
 pub(super) async fn get_mesh(
     State(app): State<App>,
     Path(name): Path<String>,
     parameters: Parameters,
+    headers: HeaderMap,
     room: Room,
 ) -> Result<Response, Problem> {
     let query = parameters.only(&["part", "box", "at-most", "format"])?;
@@ -93,7 +105,7 @@ pub(super) async fn get_mesh(
                 is_near,
                 list,
             };
-            answer(scene, wanted, room, work).await
+            answer(scene, wanted, (&headers, room), work).await
         }
         Opened::Solids(scene, settings) => {
             let stock = scene.stock();
@@ -120,7 +132,7 @@ pub(super) async fn get_mesh(
                 is_near,
                 list,
             };
-            answer(scene, wanted, room, work).await
+            answer(scene, wanted, (&headers, room), work).await
         }
     }
 }
@@ -232,7 +244,7 @@ impl Drop for Cancelling {
 async fn answer<K, N, L>(
     scene: Arc<SceneOf<K>>,
     wanted: Wanted<'_>,
-    mut room: Room,
+    (headers, mut room): (&HeaderMap, Room),
     work: Work<N, L>,
 ) -> Result<Response, Problem>
 where
@@ -257,8 +269,16 @@ where
         format,
         ..
     } = wanted;
+    let turn = MAKING.acquire().await.expect("it is never closed");
     let mut reading = scene.read_all().await?;
-    let seq = reading.seq();
+    let tag = entity_tag(&scene, reading.seq());
+    let known: Option<IfNoneMatch> = headers.typed_get();
+    let mut headers = HeaderMap::new();
+    headers.typed_insert(tag.clone());
+    headers.insert(header::CACHE_CONTROL, NO_CACHE);
+    if known.is_some_and(|known| !known.precondition_passes(&tag)) {
+        return Ok((StatusCode::NOT_MODIFIED, headers).into_response());
+    }
     let mut bodies = Vec::new();
     loop {
         let mut next = reading.next(BODIES_AT_ONCE).await?;
@@ -297,7 +317,7 @@ where
     };
     let made = tokio::task::spawn_blocking(move || {
         let made = make();
-        drop(room);
+        drop((room, turn));
         made
     });
     let (file, size, _) = match made.await {
@@ -315,7 +335,6 @@ where
             Err(_) => return Err(Problem::from(ServiceError::ShuttingDown)),
         },
     };
-    let mut headers = HeaderMap::new();
     headers.insert(
         header::CONTENT_TYPE,
         HeaderValue::from_static(format.media_type()),
@@ -325,7 +344,6 @@ where
     let name = HeaderValue::from_str(&name).expect("a scene's name is plain");
     headers.insert(header::CONTENT_DISPOSITION, name);
     headers.typed_insert(ContentLength(size));
-    headers.typed_insert(entity_tag(&scene, seq));
     let file = tokio::fs::File::from_std(file);
     let pieces = ReaderStream::with_capacity(file, PIECE_BYTES);
     Ok((headers, Body::from_stream(pieces)).into_response())

@@ -88,7 +88,8 @@ async fn mass_properties<K: ShownKind>(
     Ok((tagged, Json(shown(scene, settings, &published))).into_response())
 }
 
-const NO_CACHE: HeaderValue = HeaderValue::from_static("no-cache");
+/// Kept, but asked for again each time.
+pub(super) const NO_CACHE: HeaderValue = HeaderValue::from_static("no-cache");
 
 /// Weak: the same totals may be sent compressed or not.
 pub(super) fn entity_tag<K: SceneKind>(scene: &SceneOf<K>, seq: Seq) -> ETag {
