@@ -3,7 +3,7 @@
 //! A key has one name in all four: `queue_changes_max` in the file, `UNION3D_QUEUE_CHANGES_MAX`, `--queue-changes-max`.
 
 use std::collections::BTreeSet;
-use std::fmt;
+use std::fmt::{self, Write};
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::num::{NonZeroU64, NonZeroUsize};
 use std::path::{Path, PathBuf};
@@ -368,7 +368,7 @@ pub fn example() -> String {
         let value = match shown {
             // A scalar or a list is written the same in JSON and TOML.
             Some(value) => value.to_string(),
-            None => names.iter().map(|name| name.as_str()).collect(),
+            None => names.iter().map(clap::builder::Str::as_str).collect(),
         };
         let note = if shown.is_none() && !default.is_empty() {
             format!(
@@ -378,10 +378,12 @@ pub fn example() -> String {
         } else {
             String::new()
         };
-        text += &format!(
-            "\n# {}.{note}\n#{key} = {value}\n",
+        writeln!(
+            text,
+            "\n# {}.{note}\n#{key} = {value}",
             meaning.trim_end_matches('.')
-        );
+        )
+        .expect("a string takes everything");
     }
     text
 }

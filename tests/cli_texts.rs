@@ -16,8 +16,13 @@ fn every_command_has_a_page_of_the_manual() {
     let page = |name: &str| std::fs::read_to_string(pages.join(name)).unwrap();
     assert!(page("union3d.1").contains("union3d\\-mill(1)"));
     assert!(page("union3d-serve.1").contains("\\-\\-queue\\-changes\\-max"));
-    for name in ["mill", "path", "measure", "audit", "backup", "restore", "key", "demo"] {
-        assert!(page(&format!("union3d-{name}.1")).starts_with(".ie"), "{name}");
+    for name in [
+        "mill", "path", "measure", "audit", "backup", "restore", "key", "demo",
+    ] {
+        assert!(
+            page(&format!("union3d-{name}.1")).starts_with(".ie"),
+            "{name}"
+        );
     }
     // A place where no directory can be is refused by its name.
     let file = directory.path().join("file");
@@ -38,9 +43,15 @@ fn shells_are_told_what_completes_a_command() {
         let output = union3d(&["completions", shell], "");
         assert!(output.status.success());
         let text = String::from_utf8(output.stdout).unwrap();
-        assert!(text.contains(words) && text.contains("fail-on-collision"), "{shell}");
+        assert!(
+            text.contains(words) && text.contains("fail-on-collision"),
+            "{shell}"
+        );
         if shell == "bash" {
-            let read = Command::new("bash").args(["-n", "-c", &text]).output().unwrap();
+            let read = Command::new("bash")
+                .args(["-n", "-c", &text])
+                .output()
+                .unwrap();
             assert!(read.status.success(), "{read:?}");
         }
     }

@@ -53,7 +53,10 @@ fn the_example_is_what_the_defaults_are() {
         .collect();
     let mut sorted = names.clone();
     sorted.sort_unstable();
-    assert!(sorted.iter().eq(defaults.as_object().unwrap().keys()), "{sorted:?}");
+    assert!(
+        sorted.iter().eq(defaults.as_object().unwrap().keys()),
+        "{sorted:?}"
+    );
     // What has no default of its own stands there with what kind of thing it is.
     let is_word = |line: &&&str| line.ends_with(|letter: char| letter.is_ascii_uppercase());
     let words: Vec<&str> = settings.iter().filter(is_word).copied().collect();
@@ -67,7 +70,11 @@ fn the_example_is_what_the_defaults_are() {
             "memory_bytes_max = BYTES"
         ]
     );
-    let values: Vec<&str> = settings.iter().filter(|line| !is_word(line)).copied().collect();
+    let values: Vec<&str> = settings
+        .iter()
+        .filter(|line| !is_word(line))
+        .copied()
+        .collect();
     assert_eq!(
         merge(&values.join("\n"), &[], &ServeFlags::default()),
         Ok(ServeConfig::default())

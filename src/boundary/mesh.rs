@@ -88,7 +88,9 @@ impl Triangulator {
             let ends = ends.map(|end| end.map(|coordinate| coordinate + 0.0));
             edges.push(ends.map(|end| {
                 if is_small {
-                    let found = vertices.iter().position(|other| *other == end);
+                    let found = vertices
+                        .iter()
+                        .position(|other| other.map(f64::to_bits) == end.map(f64::to_bits));
                     found.unwrap_or_else(|| {
                         vertices.push(end);
                         vertices.len() - 1

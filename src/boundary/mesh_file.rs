@@ -178,7 +178,7 @@ impl<'a> MeshWriter<'a> {
                 }
             })
         });
-        let [a, b, c] = corners;
+        let [a, b, c] = corners.map(|corner| corner.map(|coordinate| (coordinate + 0.0).to_bits()));
         if a == b || b == c || c == a {
             return Ok(());
         }

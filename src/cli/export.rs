@@ -54,10 +54,10 @@ enum Part {
 }
 
 /// Runs `export`.
-pub(crate) fn run(args: Args) -> Outcome {
+pub(crate) fn run(args: &Args) -> Outcome {
     let runtime = tokio::runtime::Runtime::new()?;
     let credentials = args.credentials.read()?;
-    runtime.block_on(export(&args, &credentials))
+    runtime.block_on(export(args, &credentials))
 }
 
 async fn export(args: &Args, credentials: &Credentials) -> Outcome {

@@ -20,7 +20,7 @@ pub(crate) struct ManArgs {
 
 /// Print what completes commands in a shell
 ///
-/// For bash: union3d completions bash > /etc/bash_completion.d/union3d
+/// For bash: `union3d completions bash > /etc/bash_completion.d/union3d`
 #[derive(Debug, clap::Args)]
 pub(crate) struct CompletionsArgs {
     /// The shell.

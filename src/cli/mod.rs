@@ -63,7 +63,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Path(args) => path::run(args),
         Command::Measure(args) => measure::run(args),
         Command::Audit(args) => audit::run(args),
-        Command::Export(args) => export::run(args),
+        Command::Export(args) => export::run(&args),
         Command::Backup(args) => backup::run(args),
         Command::Restore(args) => restore::run(args),
         Command::Key(args) => key::run(args),

@@ -167,7 +167,7 @@ impl Sweep {
         let axis = self.axis;
         let mut crossing = Crossing::new(self.edge, cubes.len());
         let mut sides: Vec<i32> = Vec::new();
-        for bounds in self.stock.iter() {
+        if let Some(bounds) = &self.stock {
             sides.extend([bounds.max[axis], bounds.min[axis]]);
         }
         let listed = self.within.map_or(i32::MIN..=i32::MAX, |within| {

@@ -295,7 +295,7 @@ where
     let cancelled = Arc::new(AtomicBool::new(false));
     let _cancelling = Cancelling(cancelled.clone());
     let place = scene.clone();
-    let make = move || {
+    let writing = move || {
         let goes_on = || !cancelled.load(Ordering::Relaxed);
         let scratch = || place.scratch();
         let scale = (f64::from(units.0), units.1.as_str());
@@ -316,9 +316,9 @@ where
         }
     };
     let made = tokio::task::spawn_blocking(move || {
-        let made = make();
+        let written = writing();
         drop((room, turn));
-        made
+        written
     });
     let (file, size, _) = match made.await {
         Ok(Ok(made)) => made,

@@ -133,11 +133,9 @@ impl File {
             let hasher = ASSETS
                 .iter()
                 .fold(hasher, |hasher, file| hasher.chain_update(file.bytes));
-            let digest = hasher.finalize();
-            digest[..8]
-                .iter()
-                .map(|byte| format!("{byte:02x}"))
-                .collect()
+            let digest: [u8; 32] = hasher.finalize().into();
+            let start = *digest.first_chunk().expect("a digest has 32 bytes");
+            format!("{:016x}", u64::from_be_bytes(start))
         });
         let tag = format!("W/\"{}\"", *TAG);
         tag.parse().expect("hexadecimal digits")
