@@ -2,8 +2,7 @@
 
 import { type Scene, Refused, Unreachable, json, pause, scenePath, send } from "./api";
 import { field, h, mark, replace } from "./dom";
-import { count, counted } from "./format";
-import { brief, unitTo } from "./format";
+import { brief, count, counted, unitTo } from "./format";
 import { go, trouble, type View } from "./main";
 
 /** How often the list is asked for. */
@@ -73,7 +72,7 @@ function row(scene: Scene, volume: string, before: HTMLElement | undefined): HTM
     const cells = [
         scene.solids === undefined ? "cubes" : "solids",
         scene.cubes ?? scene.solids,
-        volume && scene.unit ? `${volume}` : volume,
+        volume && scene.unit ? `${volume} ${unitTo(scene.unit, 3)}` : volume,
         scene.unit ? unitTo(scene.unit, 1) : "",
         scene.seq,
     ];

@@ -2,7 +2,7 @@
 
 import type { Box, Measures, Scene, Totals, Vector } from "./api";
 import { h, replace } from "./dom";
-import { count, number, unitTo } from "./format";
+import { count, counted, number, unitTo } from "./format";
 
 export function showTotals(place: HTMLElement, scene: Scene, totals: Totals): void {
     const unit = scene.unit ?? "";
@@ -31,7 +31,7 @@ export function showTotals(place: HTMLElement, scene: Scene, totals: Totals): vo
     const bodies = totals.solids ?? totals.cubes ?? 0;
     replace(place,
         h("table", { class: "totals" },
-            h("caption", {}, `${count(bodies)} ${totals.solids === undefined ? "cubes" : "solids"} at seq ${count(totals.seq)}`),
+            h("caption", {}, `${counted(bodies, totals.solids === undefined ? "cube" : "solid")} at seq ${count(totals.seq)}`),
             columns.length > 1 ? h("thead", {}, h("tr", {}, h("td", {}), columns.map(([title]) => h("th", { scope: "col", class: "figure" }, title)), h("td", {}))) : null,
             h("tbody", {}, shown.map(([name, power, value]) => h("tr", { class: minor.has(name) ? "minor" : "" },
                 h("th", { scope: "row" }, name),
