@@ -11,7 +11,7 @@ use crate::wire::convert::float;
 
 /// A polygon with holes. Rings are closed: the last point is the first again.
 #[derive(Clone, PartialEq, Debug, Serialize, ToSchema)]
-#[schema(as = Polygon)]
+#[schema(as = SlicePolygon)]
 pub(super) struct PolygonDocument {
     /// Its outline, counterclockwise.
     #[schema(value_type = Vec<Vec<f64>>, example = json!([[0, 0], [6, 0], [6, 6], [0, 6], [0, 0]]))]

@@ -9,7 +9,7 @@ use crate::server::{JSON, Server, send};
 /// Two cubes that overlap, and one that touches them from above, cut from a stock: in half units.
 async fn block() -> (Server, String) {
     let server = Server::start().await;
-    let settings = r#"{"edge":2,"steps_per_unit":2,"stock":{"from":[0,0,0],"to":[8,3,3]}}"#;
+    let settings = r#"{"edge":2,"steps_per_unit":2,"stock":{"min":[0,0,0],"max":[8,3,3]}}"#;
     let scene = server.scene_with("block", settings).await;
     let cubes = json!({"insert": [
         {"id": 1, "at": [0, 0, 0]}, {"id": 2, "at": [1, 1, 0]}, {"id": 3, "at": [5, 0.5, 2]},
@@ -150,7 +150,7 @@ async fn a_stack_makes_the_volume() {
 #[tokio::test]
 async fn solids_are_cut_like_the_boxes_that_they_are() {
     let (server, cubes) = block().await;
-    let settings = r#"{"kind":"solids","steps_per_unit":2,"stock":{"from":[0,0,0],"to":[8,3,3]},
+    let settings = r#"{"kind":"solids","steps_per_unit":2,"stock":{"min":[0,0,0],"max":[8,3,3]},
         "shapes":{"b":{"box":[2,2,2]}}}"#;
     let solids = server.scene_with("solids", settings).await;
     let boxes = json!({"insert": [

@@ -52,7 +52,7 @@ def compare(slice_, wanted, what):
 
 def cubes(base, seed, choose):
     edge, side, path = choose.randint(1, 4), 12, f"/v1/scenes/cubes{seed}"
-    stock = {"from": [1, 1, 1], "to": [10, 11, 9]}
+    stock = {"min": [1, 1, 1], "max": [10, 11, 9]}
     asked(base, "PUT", path, {"edge": edge, "steps_per_unit": 1, "stock": stock})
     places = [[choose.randint(0, side) for _ in range(3)] for _ in range(choose.randint(1, 150))]
     asked(base, "POST", f"{path}/changes", {"insert": [{"id": i, "at": at} for i, at in enumerate(places)]})
