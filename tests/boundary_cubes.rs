@@ -264,11 +264,11 @@ fn neighbouring_boxes_share_out_every_face() {
                     min: [-100; 3],
                     max: [100; 3],
                 };
-                for axis in 0..3 {
+                for (axis, cut) in cuts.into_iter().enumerate() {
                     if octant >> axis & 1 == 0 {
-                        within.max[axis] = i32::try_from(cuts[axis] - 1).unwrap();
+                        within.max[axis] = i32::try_from(cut - 1).unwrap();
                     } else {
-                        within.min[axis] = i32::try_from(cuts[axis]).unwrap();
+                        within.min[axis] = i32::try_from(cut).unwrap();
                     }
                 }
                 let faces = scene.faces(region, Some(within));

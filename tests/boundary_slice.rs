@@ -120,7 +120,7 @@ fn of_boxes(cut: Cut, boxes: &[Bounds], stock: Option<&Bounds>, region: Region) 
 fn check_against_pixels(slice: &Slice, wanted: &[Vec<bool>], side: i32) {
     check_directions(slice);
     let (area, perimeter) = measured(wanted);
-    assert_eq!(slice.area2(), 2 * area << (2 * GRID_BITS));
+    assert_eq!(slice.area2(), (2 * area) << (2 * GRID_BITS));
     #[expect(clippy::cast_precision_loss, reason = "a few cells")]
     let (area, perimeter) = (area as f64, perimeter as f64);
     assert_eq!((slice.area(), slice.perimeter()), (area, perimeter));

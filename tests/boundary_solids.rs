@@ -355,11 +355,11 @@ fn neighbouring_boxes_share_out_every_face() {
                     min: [-100; 3],
                     max: [100; 3],
                 };
-                for axis in 0..3 {
+                for (axis, cut) in cuts.into_iter().enumerate() {
                     if octant >> axis & 1 == 0 {
-                        within.max[axis] = cuts[axis] - 1;
+                        within.max[axis] = cut - 1;
                     } else {
-                        within.min[axis] = cuts[axis];
+                        within.min[axis] = cut;
                     }
                 }
                 let part = scene.faces(region, Some(within));
@@ -455,7 +455,7 @@ impl Voxels<'_> {
                     face.normal[axis] == f64::from(outward)
                         && face.edges[0][0][axis] == f64::from(level)
                 };
-                let here = left.iter().position(|face| is_here(face));
+                let here = left.iter().position(is_here);
                 let face = here.map(|index| left.swap_remove(index));
                 let quarters = || (0..2 * self.side).map(|half| 2 * half + 1);
                 for (a, b) in quarters().flat_map(|a| quarters().map(move |b| (a, b))) {

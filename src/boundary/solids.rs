@@ -185,11 +185,11 @@ mod tests {
                     (half_way, under << lengths.within(22, 37))
                 }
                 kind => {
-                    let whole = under * wide(lengths.below(20)) << kind;
+                    let whole = (under * wide(lengths.below(20))) << kind;
                     (whole + I256::from(lengths.within(-1, 1)), under)
                 }
             };
-            if over / under >> 32_u32 != I256::ZERO {
+            if (over / under) >> 32_u32 != I256::ZERO {
                 continue;
             }
             let (over, under) = match lengths.below(4) {
