@@ -1,11 +1,12 @@
 //! `union3d export`: the mesh of a scene as a file.
 
+use std::fs::Permissions;
 use std::io::Write;
+use std::os::unix::fs::PermissionsExt;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::ValueEnum;
-use tempfile::NamedTempFile;
 use union3d::boundary::mesh_file::Format;
 use union3d::service::SceneName;
 
@@ -83,7 +84,12 @@ async fn export(args: &Args, credentials: &Credentials) -> Outcome {
     let mut answer = client.mesh(&query).await?;
     let failed = |error: std::io::Error| format!("{}: {error}", path.display());
     let directory = path.parent().filter(|parent| *parent != "");
-    let mut file = NamedTempFile::new_in(directory.unwrap_or(".".as_ref())).map_err(failed)?;
+    // Readable for whom other new files are: it is no secret of the server's.
+    let mut new = tempfile::Builder::new();
+    let new = new.permissions(Permissions::from_mode(0o666));
+    let mut file = new
+        .tempfile_in(directory.unwrap_or(".".as_ref()))
+        .map_err(failed)?;
     let announced = answer.content_length();
     let mut size = 0;
     while let Some(piece) = answer.chunk().await? {
