@@ -614,7 +614,7 @@ fn what_a_server_refuses_is_said() {
     drop(runtime);
     to_server(&url, &["cannot reach", &url, "union3d serve"]);
     to_server("localhost:7373", &["http://127.0.0.1:7373"]);
-    to_server("https://127.0.0.1:7373", &["http://"]);
+    to_server("ftp://127.0.0.1:7373", &["http://"]);
     to_server("7373", &["http://127.0.0.1:7373"]);
 }
 

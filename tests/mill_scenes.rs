@@ -442,3 +442,87 @@ fn replacing_sends_what_differs() {
     let refused = run(&csv, "");
     assert_eq!(refused.status.code(), Some(2));
 }
+
+/// Twice the signed volume under the triangles of a binary STL, times three.
+fn volume6(stl: &[u8]) -> f64 {
+    let number = |bytes: &[u8]| f64::from(f32::from_le_bytes(bytes.try_into().unwrap()));
+    let triangles = stl[84..].as_chunks::<50>().0;
+    let count = u32::from_le_bytes(stl[80..84].try_into().unwrap());
+    assert_eq!(triangles.len(), count as usize);
+    assert_eq!(stl.len(), 84 + 50 * triangles.len());
+    let volumes = triangles.iter().map(|triangle| {
+        let [a, b, c] = [12, 24, 36].map(|corner| {
+            [0, 4, 8].map(|axis| number(&triangle[corner + axis..corner + axis + 4]))
+        });
+        let cross = [1, 2, 0].map(|axis| {
+            let (next, last) = ((axis + 1) % 3, (axis + 2) % 3);
+            (axis, b[next] * c[last] - b[last] * c[next])
+        });
+        cross
+            .iter()
+            .map(|(axis, value)| a[*axis] * value)
+            .sum::<f64>()
+    });
+    volumes.sum()
+}
+
+/// What remains of the stock, as a file that is whole or not there.
+#[test]
+fn a_scene_is_exported_as_a_mesh() {
+    let directory = tempfile::tempdir().unwrap();
+    let server = Server::start(&directory.path().join("data"));
+    let arguments = [
+        &TOOLS[..],
+        &[STOCK, "--server", &server.url, "--scene", "part"],
+    ]
+    .concat();
+    let milled = mill(&arguments, PROGRAM);
+    let out = directory.path().join("part.stl");
+    let export = |scene: &str, out: &Path, more: &[&str]| {
+        let arguments = ["export", scene, "--server", &server.url, "--out"];
+        union3d(
+            &[&arguments[..], &[out.to_str().unwrap()], more].concat(),
+            "",
+        )
+    };
+    let output = export("part", &out, &[]);
+    assert!(output.status.success(), "{output:?}");
+    let expected = milled["remaining"]["volume"].as_f64().unwrap();
+    let found = volume6(&std::fs::read(&out).unwrap()) / 6.0;
+    assert!(
+        (found / expected - 1.0).abs() < 1e-5,
+        "{found}, not {expected}"
+    );
+    for (scene, name, more, words) in [
+        (
+            "part",
+            "part.dxf",
+            &[][..],
+            "none of stl, ply, obj, 3mf, glb",
+        ),
+        ("none", "none.stl", &[], "no scene"),
+        (
+            "part",
+            "few.ply",
+            &["--at-most", "7"],
+            "more than 7 triangles",
+        ),
+        ("part", "box.obj", &["--box", "0,0,0"], "six numbers"),
+    ] {
+        let out = directory.path().join(name);
+        let output = export(scene, &out, more);
+        let errors = String::from_utf8(output.stderr).unwrap();
+        assert!(
+            !output.status.success() && errors.contains(words),
+            "{name}: {errors}"
+        );
+        assert!(!out.exists());
+    }
+    // Nothing half-made is left, either.
+    let mut left: Vec<_> = std::fs::read_dir(directory.path())
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name())
+        .collect();
+    left.sort();
+    assert_eq!(left, ["data", "part.stl"]);
+}
