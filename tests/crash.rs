@@ -69,7 +69,7 @@ impl Kind {
 }
 
 /// A client, which needs what TLS is made of, though it speaks none here.
-fn client() -> Client {
+fn http_client() -> Client {
     union3d::wire::trust::install_provider();
     Client::new()
 }
@@ -204,7 +204,7 @@ struct Known {
 
 /// Sends changes one after the other until the server is gone.
 async fn stream(kind: Kind, url: String, client: u64, from: u64, count: Arc<AtomicU64>) -> Known {
-    let http = client();
+    let http = http_client();
     let mut known = Known {
         acknowledged: from,
         seq: 0,
@@ -263,7 +263,7 @@ async fn no_solid_that_was_acknowledged_is_lost_and_nothing_is_half_there() {
 async fn kill_again_and_again(kind: Kind, kills: u64) {
     let directory = tempfile::tempdir().unwrap();
     let data = directory.path().join("data");
-    let http = client();
+    let http = http_client();
     let mut server = Server::start(&data);
     let made = http
         .put(server.scene(""))
@@ -347,7 +347,7 @@ async fn kill_again_and_again(kind: Kind, kills: u64) {
 async fn a_retry_with_the_same_key_after_a_crash_is_done_once() {
     let directory = tempfile::tempdir().unwrap();
     let data = directory.path().join("data");
-    let http = client();
+    let http = http_client();
     let mut server = Server::start(&data);
     let settings = json!({"edge": 3, "steps_per_unit": 1});
     http.put(server.scene(""))
@@ -397,7 +397,7 @@ async fn a_retry_with_the_same_key_after_a_crash_is_done_once() {
 async fn a_signal_drains_and_ends_well() {
     let directory = tempfile::tempdir().unwrap();
     let data = directory.path().join("data");
-    let http = client();
+    let http = http_client();
     for signal in ["-INT", "-TERM"] {
         let mut server = Server::start(&data);
         server.ready(&http).await;
@@ -463,7 +463,7 @@ async fn a_second_server_on_the_same_data_is_refused_and_so_is_an_audit() {
         assert!(text.contains("in use by another"), "{text}");
         assert!(output.stdout.is_empty());
     }
-    let http = client();
+    let http = http_client();
     let settings = json!({"edge": 3, "steps_per_unit": 1});
     http.put(server.scene(""))
         .json(&settings)
@@ -488,7 +488,7 @@ async fn a_second_server_on_the_same_data_is_refused_and_so_is_an_audit() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_full_disk_is_told_with_its_cause_and_heals_when_there_is_space() {
     let directory = tempfile::tempdir().unwrap();
-    let http = client();
+    let http = http_client();
     let server = Server::start_on_small_disk(directory.path(), 24);
     let settings = json!({"edge": 3, "steps_per_unit": 1});
     let made = http

@@ -108,9 +108,9 @@ async fn meshes_have_the_volumes_of_the_mass_properties() {
     let scene = cubes(&server).await;
     let totals = server.totals(&scene).await;
     let parts = [
-        ("union", &totals["user"]["volume"]),
-        ("removed", &totals["removed"]["user"]["volume"]),
-        ("remaining", &totals["remaining"]["user"]["volume"]),
+        ("union", &totals["volume"]),
+        ("removed", &totals["removed"]["volume"]),
+        ("remaining", &totals["remaining"]["volume"]),
     ];
     for (part, expected) in parts {
         let triangles = stl(&bytes(&server, &scene, &format!("part={part}")).await);
