@@ -96,7 +96,7 @@ def test_a_server_has_the_same_directory(tmp_path: Path) -> None:
 def test_addresses_are_checked(server: Server) -> None:
     for url, what in [
         ("part", "is no address"),
-        ("ftp://127.0.0.1/part", "does not begin with http"),
+        ("ftp://127.0.0.1/part", "begins with neither http"),
         (server.url + "/", "name of a scene"),
         (server.url + "/Part", "name"),
     ]:

@@ -151,7 +151,6 @@ async fn apply<K: ChangedKind>(
 #[expect(dead_code, reason = "it stands in the description")]
 struct ChangeBatch {
     /// At most 1,024.
-    #[schema(max_items = 1024)]
     changes: Vec<KeyedChange>,
 }
 
