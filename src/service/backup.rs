@@ -78,10 +78,24 @@ impl ServiceError {
 }
 
 impl<K: SceneKind> SceneOf<K> {
+    /// Whether a file beside the scenes may grow: what is only read leaves as much of the disk free as changes do.
+    /// # Errors
+    /// [`io::ErrorKind::StorageFull`] below the floor of free space.
+    pub fn check_space(&self) -> io::Result<()> {
+        self.setup.check_disk().map_err(|refusal| {
+            let cause = match refusal {
+                ServiceError::Storage { cause, .. } => cause,
+                other => other.to_string(),
+            };
+            io::Error::new(io::ErrorKind::StorageFull, cause)
+        })
+    }
+
     /// An empty file without a name, where the scenes are: its space is given back when it is closed.
     /// # Errors
-    /// The disk's.
+    /// The disk's, or [`Self::check_space`]'s.
     pub fn scratch(&self) -> io::Result<File> {
+        self.check_space()?;
         tempfile::tempfile_in(self.directory.parent().unwrap_or(&self.directory))
     }
 }

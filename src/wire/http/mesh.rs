@@ -32,6 +32,9 @@ const BODIES_AT_ONCE: usize = 4_096;
 /// Meshes that are made at a time, each on a thread of its own; others wait.
 static MAKING: Semaphore = Semaphore::const_new(4);
 
+/// Faces that are written between two looks at how much of the disk is free.
+const FACES_BETWEEN_LOOKS: u64 = 1_024;
+
 /// What a body takes of memory while a mesh is made, in bytes.
 const BODY_BYTES: u64 = 128;
 
@@ -300,9 +303,13 @@ where
         let scratch = || place.scratch();
         let scale = (f64::from(units.0), units.1.as_str());
         let mut writer = MeshWriter::new(format, scale, triangles_max, &scratch)?;
-        let mut written = Ok(());
+        let (mut written, mut faces) = (Ok(()), 0_u64);
         let listed = list(bodies, &goes_on, &mut |face| {
             written = writer.write(face);
+            faces += 1;
+            if written.is_ok() && faces.is_multiple_of(FACES_BETWEEN_LOOKS) {
+                written = place.check_space().map_err(MeshError::from);
+            }
             match written {
                 Ok(()) if goes_on() => ControlFlow::Continue(()),
                 _ => ControlFlow::Break(()),
